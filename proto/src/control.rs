@@ -1,0 +1,255 @@
+//! Rare messages: hello, tasks, sessions, status. Encoded with serde and bincode.
+
+use serde::de::DeserializeOwned;
+use serde::{Deserialize, Serialize};
+
+use crate::error::{Code, Rejection};
+use crate::spec::{Options, TaskSpec};
+
+/// Largest control message, bytes.
+pub const MAX_MESSAGE: usize = 64 * 1024;
+
+/// What a client asks of the server.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub enum ControlRequest {
+    /// Introduces the client; the answer is [`ControlReply::Hello`].
+    Hello(ClientInfo),
+    /// Asks for all tasks under their default options.
+    ListTasks,
+    /// Asks for one task under some options.
+    DescribeTask {
+        /// Task id.
+        task: String,
+        /// Its options.
+        options: Options,
+    },
+    /// Opens a session.
+    OpenSession(SessionRequest),
+    /// Closes a session of this client.
+    CloseSession {
+        /// Which.
+        session: u64,
+    },
+    /// Asks who is connected and how fast it runs.
+    Status,
+    /// Ends the server.
+    Shutdown,
+}
+
+impl ControlRequest {
+    /// The number in [`crate::wire::Header::kind`]. Reserved for later: 16 snapshot, 17 restore,
+    /// 18 fork, 19 export snapshot, 20 import snapshot, 32 to 47 dVRK arm sessions.
+    pub fn kind(&self) -> u32 {
+        match self {
+            Self::Hello(_) => 1,
+            Self::ListTasks => 2,
+            Self::DescribeTask { .. } => 3,
+            Self::OpenSession(_) => 4,
+            Self::CloseSession { .. } => 5,
+            Self::Status => 6,
+            Self::Shutdown => 7,
+        }
+    }
+}
+
+/// What the server answers.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub enum ControlReply {
+    /// To [`ControlRequest::Hello`].
+    Hello(ServerInfo),
+    /// To [`ControlRequest::ListTasks`].
+    Tasks(Vec<TaskSpec>),
+    /// To [`ControlRequest::DescribeTask`].
+    Task(TaskSpec),
+    /// To [`ControlRequest::OpenSession`].
+    Opened(SessionInfo),
+    /// To [`ControlRequest::CloseSession`] and [`ControlRequest::Shutdown`].
+    Done,
+    /// To [`ControlRequest::Status`].
+    Status(ServerStatus),
+    /// To anything that was refused.
+    Refused(Rejection),
+}
+
+/// Who a client is.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct ClientInfo {
+    /// The client's transport node: its death is how the server learns of the client's.
+    pub node: u128,
+    /// Process id in the client's own process namespace.
+    pub pid: u32,
+    /// `rust` or `python`.
+    pub language: String,
+}
+
+/// Who the server is.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct ServerInfo {
+    /// Name it serves under.
+    pub name: String,
+    /// Process id in the server's own process namespace.
+    pub pid: u32,
+    /// The run of the server: a restarted one has another.
+    pub epoch: u64,
+    /// The server's transport node: its death is how clients learn of the server's.
+    pub node: u128,
+    /// Version of the program.
+    pub version: String,
+    /// Most environments that one session may have.
+    pub max_envs: u32,
+}
+
+/// What happens to an environment whose episode ended.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub enum Autoreset {
+    /// The next step resets it and ignores its action (Gymnasium's `NextStep`).
+    #[default]
+    NextStep,
+    /// The step that ends the episode resets it and also returns its last state (`SameStep`).
+    SameStep,
+    /// Nothing: it must be reset before it is stepped again (`Disabled`).
+    Disabled,
+}
+
+/// One task, N environments, one seed, its options.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct SessionRequest {
+    /// Task id, e.g. `NeedleReach-v0`.
+    pub task: String,
+    /// Number of environments.
+    pub envs: u32,
+    /// Environment i starts with seed `seed + i`.
+    pub seed: u64,
+    /// What happens at the end of an episode.
+    pub autoreset: Autoreset,
+    /// Options of the task.
+    pub options: Options,
+    /// The client that asks, as in its [`ClientInfo`].
+    pub client: ClientInfo,
+}
+
+/// An opened session.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct SessionInfo {
+    /// Its number, unique in this run of the server.
+    pub session: u64,
+    /// The run of the server.
+    pub epoch: u64,
+    /// Number of environments.
+    pub envs: u32,
+    /// The task under the session's options.
+    pub spec: TaskSpec,
+}
+
+/// The server as `trocar status` shows it.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct ServerStatus {
+    /// Name it serves under.
+    pub name: String,
+    /// Process id.
+    pub pid: u32,
+    /// The run of the server.
+    pub epoch: u64,
+    /// Time since it started, s.
+    pub uptime_s: f64,
+    /// Sessions, in the order in which they were opened.
+    pub sessions: Vec<SessionStatus>,
+    /// Bytes that sessions are counted with against the memory budget.
+    pub memory_bytes: u64,
+}
+
+/// One session as `trocar status` shows it.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct SessionStatus {
+    /// Its number.
+    pub id: u64,
+    /// Process that opened it.
+    pub pid: u32,
+    /// Its task.
+    pub task: String,
+    /// Its number of environments.
+    pub envs: u32,
+    /// Environment steps per second over about the last second.
+    pub steps_per_second: f64,
+    /// Median time that the server takes for one message, µs.
+    pub p50_us: f64,
+    /// 99th percentile of the same.
+    pub p99_us: f64,
+}
+
+fn config() -> bincode::config::Configuration<
+    bincode::config::LittleEndian,
+    bincode::config::Varint,
+    bincode::config::Limit<MAX_MESSAGE>,
+> {
+    bincode::config::standard().with_limit::<MAX_MESSAGE>()
+}
+
+/// Writes a message into `buffer` and returns its length.
+pub fn encode(message: &impl Serialize, buffer: &mut [u8]) -> Result<usize, Rejection> {
+    bincode::serde::encode_into_slice(message, buffer, config()).map_err(|error| {
+        Rejection::new(
+            Code::Malformed,
+            "message",
+            error,
+            format!("a control message of at most {} bytes", buffer.len()),
+        )
+    })
+}
+
+/// Reads a message that takes up all of `bytes`.
+pub fn decode<T: DeserializeOwned>(bytes: &[u8]) -> Result<T, Rejection> {
+    let malformed = |found: String| {
+        Rejection::new(Code::Malformed, "message", found, "a control message of this protocol")
+    };
+    if bytes.len() > MAX_MESSAGE {
+        return Err(malformed(format!("{} bytes", bytes.len())));
+    }
+    match bincode::serde::decode_from_slice(bytes, config()) {
+        Ok((message, used)) if used == bytes.len() => Ok(message),
+        Ok((_, used)) => Err(malformed(format!("{} bytes after the message", bytes.len() - used))),
+        Err(error) => Err(malformed(error.to_string())),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn request() -> ControlRequest {
+        ControlRequest::OpenSession(SessionRequest {
+            task: "NeedleReach-v0".into(),
+            envs: 64,
+            seed: 7,
+            autoreset: Autoreset::SameStep,
+            options: Options::new().with_text("reward", "dense"),
+            client: ClientInfo { node: u128::MAX, pid: 1, language: "rust".into() },
+        })
+    }
+
+    #[test]
+    fn messages_survive_the_wire() {
+        let mut buffer = vec![0; MAX_MESSAGE];
+        let length = encode(&request(), &mut buffer).unwrap();
+        assert_eq!(decode::<ControlRequest>(&buffer[..length]).unwrap(), request());
+    }
+
+    #[test]
+    fn truncated_extended_and_oversized_messages_are_refused() {
+        let mut buffer = vec![0; MAX_MESSAGE + 1];
+        let length = encode(&request(), &mut buffer).unwrap();
+        for end in 0..length {
+            assert!(decode::<ControlRequest>(&buffer[..end]).is_err());
+        }
+        assert!(decode::<ControlRequest>(&buffer[..=length]).is_err());
+        assert!(decode::<ControlRequest>(&buffer).is_err());
+    }
+
+    #[test]
+    fn a_length_prefix_that_promises_too_much_is_refused_without_allocating() {
+        // Variant 2 (DescribeTask), then a string said to have 2^60 bytes.
+        let mut bytes = vec![2, 253];
+        bytes.extend_from_slice(&(1u64 << 60).to_le_bytes());
+        assert_eq!(decode::<ControlRequest>(&bytes).unwrap_err().code, Code::Malformed);
+    }
+}

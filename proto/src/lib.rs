@@ -1,0 +1,37 @@
+//! What Trocar's server and clients must agree on: the whole protocol on one screen.
+//!
+//! | module | holds |
+//! |---|---|
+//! | [`endpoint`] | where a server is found: names, folders, transport configuration |
+//! | [`control`] | rare messages: hello, tasks, sessions, status (serde + bincode, at most 64 KiB) |
+//! | [`wire`] | frequent messages: step and reset as plain arrays in shared memory |
+//! | [`spec`] | what a task looks like: actions, observations, goals, options |
+//! | [`goal`] | distance, success and reward as pure functions of goals |
+//! | [`error`] | refusals: the field, its value and what is allowed |
+//!
+//! A client opens the control service, says hello, and opens a *session*: one task, N
+//! environments, one seed, its options. The server answers with the session's [`spec::TaskSpec`]
+//! and the name of a data service of its own, over which every reset and step goes. The arrays of
+//! both directions lie at the offsets of [`wire::RequestLayout`] and [`wire::ReplyLayout`], which
+//! both sides compute from the same specification.
+//!
+//! ```
+//! use trocar_proto::goal::{Reward, SuccessRule};
+//!
+//! let rule = SuccessRule::Distance { tolerance: 0.005 };
+//! assert!(rule.holds(&[0.0, 0.0, 0.0], &[0.003, 0.0, 0.0]));
+//! assert_eq!(Reward::Sparse.of(&rule, &[0.0; 3], &[0.1, 0.0, 0.0]), -1.0);
+//! ```
+
+pub mod control;
+pub mod endpoint;
+pub mod error;
+pub mod goal;
+pub mod spec;
+pub mod wire;
+
+pub use error::{Code, Rejection};
+pub use spec::{OptionValue, Options, TaskSpec};
+
+/// Version of everything in this crate; both sides must have the same.
+pub const PROTOCOL_VERSION: u32 = 1;

@@ -1,0 +1,380 @@
+//! What a task looks like from outside: actions, observations, goals, options.
+
+use std::collections::BTreeMap;
+use std::fmt;
+
+use serde::{Deserialize, Serialize};
+
+use crate::error::{Code, Rejection};
+use crate::goal::{Reward, SuccessRule};
+
+/// A task as its clients see it, under one choice of options. Sent once, when a session opens.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct TaskSpec {
+    /// Registered name with version, e.g. `NeedleReach-v0`.
+    pub id: String,
+    /// One sentence for people.
+    pub summary: String,
+    /// Steps after which an episode is truncated.
+    pub max_steps: u32,
+    /// Simulated time of one step, s.
+    pub seconds_per_step: f64,
+    /// The action vector, element by element.
+    pub action: Vec<Element>,
+    /// The state observation, element by element.
+    pub observation: Vec<Element>,
+    /// Achieved and desired goal; `None` for tasks without goals.
+    pub goal: Option<GoalSpec>,
+    /// Which reward these options give.
+    pub reward: Reward,
+    /// The options this task knows.
+    pub options: Vec<OptionSpec>,
+}
+
+impl TaskSpec {
+    /// Number of elements of an action.
+    pub fn action_dim(&self) -> usize {
+        self.action.len()
+    }
+
+    /// Number of elements of the state observation.
+    pub fn observation_dim(&self) -> usize {
+        self.observation.len()
+    }
+
+    /// Number of elements of a goal; 0 for tasks without goals.
+    pub fn goal_dim(&self) -> usize {
+        self.goal.as_ref().map_or(0, |goal| goal.elements.len())
+    }
+
+    /// Whether `achieved` reaches `desired`; never for tasks without goals.
+    pub fn is_success(&self, achieved: &[f32], desired: &[f32]) -> bool {
+        self.goal.as_ref().is_some_and(|goal| goal.success.holds(achieved, desired))
+    }
+}
+
+/// One element of a vector: what it means, where, in which unit and range.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Element {
+    /// Meaning, e.g. `tip position x`.
+    pub name: String,
+    /// Coordinate frame, e.g. `world`; empty where none applies.
+    pub frame: String,
+    /// SI unit, `1` where dimensionless.
+    pub unit: String,
+    /// Smallest value.
+    pub min: f32,
+    /// Largest value.
+    pub max: f32,
+}
+
+impl Element {
+    /// An element in `[min, max]`.
+    pub fn new(name: &str, frame: &str, unit: &str, min: f32, max: f32) -> Self {
+        Self { name: name.into(), frame: frame.into(), unit: unit.into(), min, max }
+    }
+}
+
+/// The goal of a task: what its elements are and when it is reached.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct GoalSpec {
+    /// Achieved and desired goal, element by element.
+    pub elements: Vec<Element>,
+    /// When the achieved goal counts as the desired one.
+    pub success: SuccessRule,
+}
+
+/// One option of a task: its name, its default and what is allowed.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct OptionSpec {
+    /// Keyword, e.g. `reward`.
+    pub name: String,
+    /// One sentence for people.
+    pub summary: String,
+    /// The value where none is given.
+    pub default: OptionValue,
+    /// What is accepted.
+    pub allowed: Allowed,
+}
+
+impl OptionSpec {
+    /// A choice of one of `values`, of which the first is the default.
+    pub fn choice(name: &str, summary: &str, values: &[&str]) -> Self {
+        Self {
+            name: name.into(),
+            summary: summary.into(),
+            default: OptionValue::Text(values[0].into()),
+            allowed: Allowed::OneOf(values.iter().map(ToString::to_string).collect()),
+        }
+    }
+}
+
+/// The value of an option. Not recursive, so that no message can nest.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub enum OptionValue {
+    /// True or false.
+    Flag(bool),
+    /// A number; the unit is the option's.
+    Number(f64),
+    /// A word.
+    Text(String),
+    /// Several numbers.
+    Numbers(Vec<f64>),
+    /// Several words.
+    Texts(Vec<String>),
+    /// Named rows of numbers, e.g. ranges by parameter.
+    Table(BTreeMap<String, Vec<f64>>),
+}
+
+impl fmt::Display for OptionValue {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Flag(flag) => write!(f, "{flag}"),
+            Self::Number(number) => write!(f, "{number}"),
+            Self::Text(text) => write!(f, "{text:?}"),
+            Self::Numbers(numbers) => write!(f, "{numbers:?}"),
+            Self::Texts(texts) => write!(f, "{texts:?}"),
+            Self::Table(table) => write!(f, "{table:?}"),
+        }
+    }
+}
+
+/// What values an option accepts.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub enum Allowed {
+    /// True or false.
+    Flag,
+    /// A finite number in `[min, max]`.
+    Range {
+        /// Smallest value.
+        min: f64,
+        /// Largest value.
+        max: f64,
+    },
+    /// One of these words.
+    OneOf(Vec<String>),
+    /// One or more of these words, none twice.
+    SomeOf(Vec<String>),
+    /// `count` finite numbers, each in `[min, max]`.
+    Vector {
+        /// How many.
+        count: usize,
+        /// Smallest value.
+        min: f64,
+        /// Largest value.
+        max: f64,
+    },
+    /// Rows by name; every row has `count` finite numbers in `[min, max]`.
+    Table(Vec<RowSpec>),
+}
+
+/// One row that a [`Allowed::Table`] accepts.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct RowSpec {
+    /// Name of the row.
+    pub name: String,
+    /// What it means, with unit.
+    pub summary: String,
+    /// How many numbers it has.
+    pub count: usize,
+    /// Smallest value of each.
+    pub min: f64,
+    /// Largest value of each.
+    pub max: f64,
+}
+
+impl fmt::Display for Allowed {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Flag => write!(f, "true or false"),
+            Self::Range { min, max } => write!(f, "a number in [{min}, {max}]"),
+            Self::OneOf(words) => write!(f, "one of {words:?}"),
+            Self::SomeOf(words) => write!(f, "one or more of {words:?}, none twice"),
+            Self::Vector { count, min, max } => {
+                write!(f, "{count} numbers in [{min}, {max}]")
+            }
+            Self::Table(rows) => {
+                write!(f, "a table with any of")?;
+                for (index, row) in rows.iter().enumerate() {
+                    let comma = if index == 0 { "" } else { "," };
+                    let RowSpec { name, count, min, max, .. } = row;
+                    write!(f, "{comma} {name} ({count} numbers in [{min}, {max}])")?;
+                }
+                Ok(())
+            }
+        }
+    }
+}
+
+impl Allowed {
+    fn accepts(&self, value: &OptionValue) -> bool {
+        let within = |numbers: &[f64], count: usize, min: f64, max: f64| {
+            numbers.len() == count && numbers.iter().all(|number| (min..=max).contains(number))
+        };
+        match (self, value) {
+            (Self::Flag, OptionValue::Flag(_)) => true,
+            (Self::Range { min, max }, OptionValue::Number(number)) => {
+                (min..=max).contains(&number)
+            }
+            (Self::OneOf(words), OptionValue::Text(word)) => words.contains(word),
+            (Self::SomeOf(words), OptionValue::Texts(chosen)) => {
+                !chosen.is_empty()
+                    && chosen.iter().enumerate().all(|(index, word)| {
+                        words.contains(word) && !chosen[..index].contains(word)
+                    })
+            }
+            (Self::Vector { count, min, max }, OptionValue::Numbers(numbers)) => {
+                within(numbers, *count, *min, *max)
+            }
+            (Self::Table(rows), OptionValue::Table(table)) => {
+                table.iter().all(|(name, numbers)| {
+                    rows.iter().any(|row| {
+                        row.name == *name && within(numbers, row.count, row.min, row.max)
+                    })
+                })
+            }
+            _ => false,
+        }
+    }
+}
+
+/// The options of a session by name; what is missing has its default.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+pub struct Options(pub BTreeMap<String, OptionValue>);
+
+impl Options {
+    /// No option given.
+    pub fn new() -> Self {
+        Self::default()
+    }
+
+    /// The same options with `name` set to `value`.
+    #[must_use]
+    pub fn with(mut self, name: &str, value: OptionValue) -> Self {
+        self.0.insert(name.into(), value);
+        self
+    }
+
+    /// The same options with `name` set to a word.
+    #[must_use]
+    pub fn with_text(self, name: &str, word: &str) -> Self {
+        self.with(name, OptionValue::Text(word.into()))
+    }
+
+    /// Checks every option against what a task allows and fills in the defaults.
+    pub fn resolve(&self, allowed: &[OptionSpec]) -> Result<Options, Rejection> {
+        for (name, value) in &self.0 {
+            let Some(option) = allowed.iter().find(|option| option.name == *name) else {
+                let names: Vec<_> = allowed.iter().map(|option| option.name.as_str()).collect();
+                return Err(Rejection::new(
+                    Code::UnknownOption,
+                    format!("options.{name}"),
+                    value,
+                    format!("unknown option; this task knows {names:?}"),
+                ));
+            };
+            if !option.allowed.accepts(value) {
+                return Err(Rejection::new(
+                    Code::InvalidOption,
+                    format!("options.{name}"),
+                    value,
+                    format!("allowed is {}", option.allowed),
+                ));
+            }
+        }
+        let value_of = |option: &OptionSpec| {
+            let value = self.0.get(&option.name).unwrap_or(&option.default);
+            (option.name.clone(), value.clone())
+        };
+        Ok(Options(allowed.iter().map(value_of).collect()))
+    }
+
+    /// The word given for `name`.
+    pub fn text(&self, name: &str) -> Option<&str> {
+        match self.0.get(name)? {
+            OptionValue::Text(word) => Some(word),
+            _ => None,
+        }
+    }
+
+    /// The number given for `name`.
+    pub fn number(&self, name: &str) -> Option<f64> {
+        match self.0.get(name)? {
+            OptionValue::Number(number) => Some(*number),
+            _ => None,
+        }
+    }
+
+    /// Row `row` of the table given for `name`.
+    pub fn row(&self, name: &str, row: &str) -> Option<&[f64]> {
+        match self.0.get(name)? {
+            OptionValue::Table(table) => table.get(row).map(Vec::as_slice),
+            _ => None,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn allowed() -> Vec<OptionSpec> {
+        vec![
+            OptionSpec::choice("reward", "Reward.", &["sparse", "dense"]),
+            OptionSpec {
+                name: "grasp_distance".into(),
+                summary: "Attachment distance, m.".into(),
+                default: OptionValue::Number(0.002),
+                allowed: Allowed::Range { min: 0.0, max: 0.01 },
+            },
+            OptionSpec {
+                name: "domain".into(),
+                summary: "Ranges.".into(),
+                default: OptionValue::Table(BTreeMap::new()),
+                allowed: Allowed::Table(vec![RowSpec {
+                    name: "friction".into(),
+                    summary: "Coefficient.".into(),
+                    count: 2,
+                    min: 0.0,
+                    max: 2.0,
+                }]),
+            },
+        ]
+    }
+
+    #[test]
+    fn defaults_are_filled_in() {
+        let options = Options::new().with_text("reward", "dense").resolve(&allowed()).unwrap();
+        assert_eq!(options.text("reward"), Some("dense"));
+        assert_eq!(options.number("grasp_distance"), Some(0.002));
+        assert_eq!(options.row("domain", "friction"), None);
+    }
+
+    #[test]
+    fn a_refusal_names_field_value_and_choices() {
+        let refusal = Options::new().with_text("reward", "shaped").resolve(&allowed()).unwrap_err();
+        assert_eq!(refusal.code, Code::InvalidOption);
+        let text = refusal.to_string();
+        for part in ["options.reward", "shaped", "sparse", "dense"] {
+            assert!(text.contains(part), "{text}");
+        }
+        let refusal = Options::new().with_text("rewards", "dense").resolve(&allowed()).unwrap_err();
+        assert_eq!(refusal.code, Code::UnknownOption);
+        assert!(refusal.to_string().contains("grasp_distance"));
+    }
+
+    #[test]
+    fn numbers_must_be_finite_and_in_range() {
+        for number in [f64::NAN, f64::INFINITY, -0.1, 0.02] {
+            let options = Options::new().with("grasp_distance", OptionValue::Number(number));
+            assert_eq!(options.resolve(&allowed()).unwrap_err().code, Code::InvalidOption);
+        }
+        let row = |numbers: &[f64]| {
+            let table = BTreeMap::from([("friction".to_string(), numbers.to_vec())]);
+            Options::new().with("domain", OptionValue::Table(table)).resolve(&allowed())
+        };
+        assert!(row(&[0.5, 1.0]).is_ok());
+        assert!(row(&[0.5]).is_err());
+        assert!(row(&[0.5, f64::NAN]).is_err());
+    }
+}

@@ -1,0 +1,288 @@
+//! Frequent messages: reset and step as plain arrays in shared memory.
+//!
+//! A message is a [`Header`] and a payload of bytes. The payload holds struct-of-arrays regions
+//! at offsets that both sides compute from the session's specification; each region starts on a
+//! 64-byte boundary and is sized for every environment, of which the first `rows` rows are used.
+
+use iceoryx2::prelude::ZeroCopySend;
+
+use crate::spec::TaskSpec;
+
+/// First word of every message: "TRCR".
+pub const MAGIC: u32 = u32::from_le_bytes(*b"TRCR");
+
+/// Alignment of payloads and of every region, bytes (a cache line).
+pub const ALIGNMENT: usize = 64;
+
+/// Requests that a client may have in flight: two disjoint groups of environments.
+pub const MAX_IN_FLIGHT: usize = 2;
+
+/// Replies that a client may hold on to, besides those that are in flight: one is being read, one
+/// is the view handed out before it.
+pub const MAX_HELD_REPLIES: usize = 4;
+
+/// What a data message asks for.
+pub mod kind {
+    /// Reset the listed environments.
+    pub const RESET: u32 = 1;
+    /// Step the listed environments.
+    pub const STEP: u32 = 2;
+}
+
+/// Bits of [`Header::flags`].
+pub mod flag {
+    /// Request: the reply shall carry the scripted expert's action for the state it returns.
+    pub const WANT_EXPERT: u32 = 1;
+    /// Reset request: the seeds region is filled; otherwise each environment goes on to the next
+    /// episode of its seed.
+    pub const HAS_SEEDS: u32 = 2;
+}
+
+/// The fixed part of every message, control and data, both directions.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, ZeroCopySend)]
+#[type_name("TrocarHeader")]
+#[repr(C)]
+pub struct Header {
+    /// Always [`MAGIC`].
+    pub magic: u32,
+    /// Always [`crate::PROTOCOL_VERSION`].
+    pub protocol: u32,
+    /// What is asked: [`kind`] on data services, [`crate::control::ControlRequest`]'s on control.
+    pub kind: u32,
+    /// Bits of [`flag`].
+    pub flags: u32,
+    /// Number of the request, chosen by the client, returned by the server.
+    pub request: u64,
+    /// The session, 0 outside of one.
+    pub session: u64,
+    /// The run of the server that opened the session.
+    pub epoch: u64,
+    /// Rows used in every region.
+    pub rows: u32,
+    /// Bytes used in the payload where it holds an encoded message.
+    pub length: u32,
+    /// Reply: 0, or the [`crate::Code`] of a refusal that the payload explains.
+    pub status: u32,
+    /// Zero.
+    pub reserved: u32,
+}
+
+const _: () = assert!(size_of::<Header>() == 56 && align_of::<Header>() == 8);
+
+impl Header {
+    /// A header of this protocol version with everything else zero.
+    pub fn new(kind: u32) -> Self {
+        Self { magic: MAGIC, protocol: crate::PROTOCOL_VERSION, kind, ..Self::default() }
+    }
+}
+
+/// Where an array lies in a payload.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Region {
+    /// First byte.
+    pub offset: usize,
+    /// Elements per row.
+    pub width: usize,
+    /// Bytes per element.
+    pub element: usize,
+    /// Rows there is room for.
+    pub rows: usize,
+}
+
+impl Region {
+    /// Bytes of the first `rows` rows.
+    pub fn range(&self, rows: usize) -> std::ops::Range<usize> {
+        debug_assert!(rows <= self.rows);
+        self.offset..self.offset + rows * self.width * self.element
+    }
+
+    /// The first `rows` rows as numbers.
+    ///
+    /// # Panics
+    /// Where `T` is not the region's element type or the payload is shorter than its layout.
+    pub fn view<'a, T: bytemuck::Pod>(&self, payload: &'a [u8], rows: usize) -> &'a [T] {
+        assert_eq!(self.element, size_of::<T>());
+        bytemuck::cast_slice(&payload[self.range(rows)])
+    }
+
+    /// The first `rows` rows as numbers that can be written.
+    ///
+    /// # Panics
+    /// As [`Self::view`].
+    pub fn view_mut<'a, T: bytemuck::Pod>(
+        &self,
+        payload: &'a mut [u8],
+        rows: usize,
+    ) -> &'a mut [T] {
+        assert_eq!(self.element, size_of::<T>());
+        bytemuck::cast_slice_mut(&mut payload[self.range(rows)])
+    }
+}
+
+/// Lays regions one after another, each on its own cache line.
+struct Planner {
+    rows: usize,
+    end: usize,
+}
+
+impl Planner {
+    fn region<T>(&mut self, width: usize) -> Region {
+        let offset = self.end.next_multiple_of(ALIGNMENT);
+        let element = size_of::<T>();
+        self.end = offset + self.rows * width * element;
+        Region { offset, width, element, rows: self.rows }
+    }
+
+    fn bytes(&self) -> usize {
+        // Room for an encoded refusal, whatever the session's size.
+        self.end.next_multiple_of(ALIGNMENT).max(MIN_PAYLOAD)
+    }
+}
+
+/// Smallest payload: a refusal must fit into any reply.
+const MIN_PAYLOAD: usize = 8192;
+
+/// The arrays of a request.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct RequestLayout {
+    /// Which environments: u32 (rows), each below the session's number, none twice.
+    pub env_ids: Region,
+    /// Actions: f32 (rows, action dim).
+    pub actions: Region,
+    /// Seeds for a reset: u64 (rows).
+    pub seeds: Region,
+    /// Size of the payload.
+    pub bytes: usize,
+}
+
+impl RequestLayout {
+    /// The layout for a session of `envs` environments.
+    pub fn new(envs: usize, spec: &TaskSpec) -> Self {
+        let mut plan = Planner { rows: envs, end: 0 };
+        let env_ids = plan.region::<u32>(1);
+        let actions = plan.region::<f32>(spec.action_dim());
+        let seeds = plan.region::<u64>(1);
+        Self { env_ids, actions, seeds, bytes: plan.bytes() }
+    }
+}
+
+/// The arrays of a reply. Row r belongs to the r-th environment of the request.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct ReplyLayout {
+    /// f32 (rows, observation dim): state after the step, or after the autoreset.
+    pub observation: Region,
+    /// f32 (rows, goal dim).
+    pub achieved_goal: Region,
+    /// f32 (rows, goal dim).
+    pub desired_goal: Region,
+    /// f32 (rows): of the transition just made; 0 for a reset.
+    pub reward: Region,
+    /// u8 (rows): the episode ended in a terminal state.
+    pub terminated: Region,
+    /// u8 (rows): the episode ended at its time limit.
+    pub truncated: Region,
+    /// u8 (rows): success at the end of the transition, before any autoreset.
+    pub is_success: Region,
+    /// u8 (rows): a [`crate::Code`] where this environment's simulation failed, else 0.
+    pub fault: Region,
+    /// u32 (rows): steps since the episode began.
+    pub steps: Region,
+    /// u64 (rows): seed of the episode.
+    pub seed: Region,
+    /// u64 (rows): number of the episode under that seed.
+    pub episode: Region,
+    /// f32 (rows, observation dim): last observation of an episode that a same-step autoreset
+    /// replaced; unspecified where neither terminated nor truncated.
+    pub final_observation: Region,
+    /// f32 (rows, goal dim), as `final_observation`.
+    pub final_achieved_goal: Region,
+    /// f32 (rows, goal dim), as `final_observation`.
+    pub final_desired_goal: Region,
+    /// f32 (rows, action dim): the scripted expert's action for the returned state, if wanted.
+    pub expert_action: Region,
+    /// Size of the payload.
+    pub bytes: usize,
+}
+
+impl ReplyLayout {
+    /// The layout for a session of `envs` environments.
+    pub fn new(envs: usize, spec: &TaskSpec) -> Self {
+        let (observation, goal) = (spec.observation_dim(), spec.goal_dim());
+        let mut plan = Planner { rows: envs, end: 0 };
+        Self {
+            observation: plan.region::<f32>(observation),
+            achieved_goal: plan.region::<f32>(goal),
+            desired_goal: plan.region::<f32>(goal),
+            reward: plan.region::<f32>(1),
+            terminated: plan.region::<u8>(1),
+            truncated: plan.region::<u8>(1),
+            is_success: plan.region::<u8>(1),
+            fault: plan.region::<u8>(1),
+            steps: plan.region::<u32>(1),
+            seed: plan.region::<u64>(1),
+            episode: plan.region::<u64>(1),
+            final_observation: plan.region::<f32>(observation),
+            final_achieved_goal: plan.region::<f32>(goal),
+            final_desired_goal: plan.region::<f32>(goal),
+            expert_action: plan.region::<f32>(spec.action_dim()),
+            bytes: plan.bytes(),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::goal::{Reward, SuccessRule};
+    use crate::spec::{Element, GoalSpec};
+
+    fn spec(action: usize, observation: usize, goal: usize) -> TaskSpec {
+        let elements = |count| vec![Element::new("x", "world", "m", -1.0, 1.0); count];
+        TaskSpec {
+            id: "Test-v0".into(),
+            summary: String::new(),
+            max_steps: 50,
+            seconds_per_step: 0.2,
+            action: elements(action),
+            observation: elements(observation),
+            goal: Some(GoalSpec {
+                elements: elements(goal),
+                success: SuccessRule::Distance { tolerance: 0.005 },
+            }),
+            reward: Reward::Sparse,
+            options: vec![],
+        }
+    }
+
+    #[test]
+    fn regions_are_aligned_and_do_not_overlap() {
+        for envs in [1, 3, 64, 4096] {
+            let layout = ReplyLayout::new(envs, &spec(5, 19, 3));
+            let regions = [
+                layout.observation, layout.achieved_goal, layout.desired_goal, layout.reward,
+                layout.terminated, layout.truncated, layout.is_success, layout.fault,
+                layout.steps, layout.seed, layout.episode, layout.final_observation,
+                layout.final_achieved_goal, layout.final_desired_goal, layout.expert_action,
+            ];
+            for pair in regions.windows(2) {
+                assert!(pair[0].range(envs).end <= pair[1].offset);
+            }
+            for region in regions {
+                assert_eq!(region.offset % ALIGNMENT, 0);
+                assert!(region.range(envs).end <= layout.bytes);
+            }
+        }
+    }
+
+    #[test]
+    fn what_is_written_in_a_region_is_read_there() {
+        let layout = RequestLayout::new(4, &spec(5, 7, 3));
+        let mut words = vec![0u64; layout.bytes / 8];
+        let payload: &mut [u8] = bytemuck::cast_slice_mut(&mut words);
+        layout.actions.view_mut::<f32>(payload, 4).fill(0.5);
+        layout.seeds.view_mut::<u64>(payload, 4).copy_from_slice(&[1, 2, 3, u64::MAX]);
+        assert!(layout.actions.view::<f32>(payload, 4).iter().all(|value| *value == 0.5));
+        assert_eq!(layout.seeds.view::<u64>(payload, 2), [1, 2]);
+        assert_eq!(layout.env_ids.view::<u32>(payload, 4), [0; 4]);
+    }
+}
