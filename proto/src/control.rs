@@ -14,7 +14,7 @@ pub const MAX_MESSAGE: usize = 64 * 1024;
 pub enum ControlRequest {
     /// Introduces the client; the answer is [`ControlReply::Hello`].
     Hello(ClientInfo),
-    /// Asks for all tasks under their default options.
+    /// Asks for the ids of all tasks.
     ListTasks,
     /// Asks for one task under some options.
     DescribeTask {
@@ -24,7 +24,12 @@ pub enum ControlRequest {
         options: Options,
     },
     /// Opens a session.
-    OpenSession(SessionRequest),
+    OpenSession {
+        /// What is wanted.
+        request: SessionRequest,
+        /// The client that asks, as it introduced itself.
+        client: ClientInfo,
+    },
     /// Closes a session of this client.
     CloseSession {
         /// Which.
@@ -44,7 +49,7 @@ impl ControlRequest {
             Self::Hello(_) => 1,
             Self::ListTasks => 2,
             Self::DescribeTask { .. } => 3,
-            Self::OpenSession(_) => 4,
+            Self::OpenSession { .. } => 4,
             Self::CloseSession { .. } => 5,
             Self::Status => 6,
             Self::Shutdown => 7,
@@ -58,7 +63,7 @@ pub enum ControlReply {
     /// To [`ControlRequest::Hello`].
     Hello(ServerInfo),
     /// To [`ControlRequest::ListTasks`].
-    Tasks(Vec<TaskSpec>),
+    Tasks(Vec<String>),
     /// To [`ControlRequest::DescribeTask`].
     Task(TaskSpec),
     /// To [`ControlRequest::OpenSession`].
@@ -91,8 +96,6 @@ pub struct ServerInfo {
     pub pid: u32,
     /// The run of the server: a restarted one has another.
     pub epoch: u64,
-    /// The server's transport node: its death is how clients learn of the server's.
-    pub node: u128,
     /// Version of the program.
     pub version: String,
     /// Most environments that one session may have.
@@ -124,8 +127,43 @@ pub struct SessionRequest {
     pub autoreset: Autoreset,
     /// Options of the task.
     pub options: Options,
-    /// The client that asks, as in its [`ClientInfo`].
-    pub client: ClientInfo,
+}
+
+impl SessionRequest {
+    /// One environment of `task` with seed 0 and default options.
+    pub fn new(task: &str) -> Self {
+        Self {
+            task: task.into(),
+            envs: 1,
+            seed: 0,
+            autoreset: Autoreset::default(),
+            options: Options::new(),
+        }
+    }
+
+    /// The same with `envs` environments.
+    #[must_use]
+    pub fn envs(self, envs: u32) -> Self {
+        Self { envs, ..self }
+    }
+
+    /// The same with another seed.
+    #[must_use]
+    pub fn seed(self, seed: u64) -> Self {
+        Self { seed, ..self }
+    }
+
+    /// The same with another autoreset mode.
+    #[must_use]
+    pub fn autoreset(self, autoreset: Autoreset) -> Self {
+        Self { autoreset, ..self }
+    }
+
+    /// The same with other options.
+    #[must_use]
+    pub fn options(self, options: Options) -> Self {
+        Self { options, ..self }
+    }
 }
 
 /// An opened session.
@@ -217,14 +255,14 @@ mod tests {
     use super::*;
 
     fn request() -> ControlRequest {
-        ControlRequest::OpenSession(SessionRequest {
-            task: "NeedleReach-v0".into(),
-            envs: 64,
-            seed: 7,
-            autoreset: Autoreset::SameStep,
-            options: Options::new().with_text("reward", "dense"),
+        ControlRequest::OpenSession {
+            request: SessionRequest::new("NeedleReach-v0")
+                .envs(64)
+                .seed(7)
+                .autoreset(Autoreset::SameStep)
+                .options(Options::new().with_text("reward", "dense")),
             client: ClientInfo { node: u128::MAX, pid: 1, language: "rust".into() },
-        })
+        }
     }
 
     #[test]

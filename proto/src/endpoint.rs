@@ -1,5 +1,406 @@
-//! Where a server is found: its name, its folder, and how the transport is configured.
+//! Where a server is found: its name, its folder, its locks, and how the transport is configured.
 //!
-//! Both sides build the transport's whole configuration here, in code, so that no file found in
-//! a working directory can change it. Everything lives in `/dev/shm`, so that processes which
-//! share only that (containers, say) meet, and one look there shows whether anything is left.
+//! Both sides build the transport's whole configuration here, in code, so that no file found in a
+//! working directory can change it. Everything lives under `/dev/shm`: processes that share only
+//! that (containers, say) meet, and one look there shows whether anything is left.
+//!
+//! | path | is |
+//! |---|---|
+//! | `/dev/shm/trocar.<uid>.<name>/` | the folder of one server; every participant holds a shared lock on it |
+//! | `…/server.lock` | locked exclusively by the running server; holds its process id and epoch |
+//! | `/dev/shm/trocar-<hash>.*` | shared memory of that server and its clients |
+//!
+//! The kernel drops a lock with the process that held it, however that ended. So whoever gets the
+//! exclusive lock on the folder knows that nobody uses it, and may remove all of it: that is how a
+//! new server starts at once after a crash, and how the last one out leaves nothing behind.
+
+use std::fmt;
+use std::fs::{self, File, OpenOptions};
+use std::io;
+use std::os::unix::fs::{DirBuilderExt, FileExt, MetadataExt, OpenOptionsExt};
+use std::path::{Path, PathBuf};
+use std::str::FromStr;
+
+use iceoryx2::config::Config;
+use iceoryx2::node::NodeBuilder;
+use iceoryx2::prelude::{FileName, LogLevel, SemanticString, SignalHandlingMode, ipc_threadsafe};
+use rustix::fs::{FlockOperation, flock};
+
+use crate::error::{Code, Rejection};
+
+/// Where shared memory lives on Linux.
+const SHARED_MEMORY: &str = "/dev/shm";
+
+/// The flavour of transport that both sides use; its ports may move between threads.
+pub type Transport = ipc_threadsafe::Service;
+
+/// A participant of the transport.
+pub type Node = iceoryx2::node::Node<Transport>;
+
+/// Most clients that one server serves at a time.
+pub const MAX_CLIENTS: usize = 512;
+
+/// The name of a server: 1 to 24 letters, digits, `-` or `_`.
+#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct ServerName(String);
+
+impl ServerName {
+    /// Longest name: socket paths in the server's folder must stay below 108 bytes.
+    pub const MAX_LENGTH: usize = 24;
+
+    /// The name as text.
+    pub fn as_str(&self) -> &str {
+        &self.0
+    }
+}
+
+impl FromStr for ServerName {
+    type Err = Rejection;
+
+    fn from_str(name: &str) -> Result<Self, Rejection> {
+        let allowed = |c: char| c.is_ascii_alphanumeric() || c == '-' || c == '_';
+        if (1..=Self::MAX_LENGTH).contains(&name.len()) && name.chars().all(allowed) {
+            return Ok(Self(name.into()));
+        }
+        Err(Rejection::new(
+            Code::InvalidOption,
+            "server name",
+            format!("{name:?}"),
+            format!("allowed are 1 to {} of A-Z a-z 0-9 - _", Self::MAX_LENGTH),
+        ))
+    }
+}
+
+impl fmt::Display for ServerName {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(&self.0)
+    }
+}
+
+/// The folder and the shared memory of one server name, for this user.
+#[derive(Debug, Clone)]
+pub struct Endpoint {
+    name: ServerName,
+    folder: PathBuf,
+    prefix: String,
+}
+
+impl Endpoint {
+    /// The endpoint of `name` for the user this process runs as.
+    pub fn new(name: &ServerName) -> Self {
+        let folder_name = format!("{}{name}", folder_prefix());
+        // FNV-1a, 32 bits: short, and the same in every build.
+        let hash = folder_name
+            .bytes()
+            .fold(0x811c_9dc5_u32, |hash, byte| (hash ^ u32::from(byte)).wrapping_mul(0x0100_0193));
+        Self {
+            name: name.clone(),
+            folder: Path::new(SHARED_MEMORY).join(folder_name),
+            prefix: format!("trocar-{hash:08x}."),
+        }
+    }
+
+    /// Every endpoint of this user of which a folder exists, by name.
+    pub fn all() -> io::Result<Vec<Self>> {
+        let prefix = folder_prefix();
+        let mut names = Vec::new();
+        for entry in fs::read_dir(SHARED_MEMORY)? {
+            let file_name = entry?.file_name();
+            let name = file_name.to_str().and_then(|text| text.strip_prefix(&prefix));
+            names.extend(name.and_then(|name| name.parse::<ServerName>().ok()));
+        }
+        names.sort();
+        Ok(names.iter().map(Self::new).collect())
+    }
+
+    /// The server's name.
+    pub fn name(&self) -> &ServerName {
+        &self.name
+    }
+
+    /// The folder with the server's lock and bookkeeping.
+    pub fn folder(&self) -> &Path {
+        &self.folder
+    }
+
+    /// Joins the endpoint: creates the folder where it is missing and holds a shared lock on it.
+    /// Whoever finds that nobody else was there removes what crashed predecessors left.
+    pub fn join(&self) -> io::Result<Membership> {
+        loop {
+            match fs::DirBuilder::new().mode(0o700).create(&self.folder) {
+                Err(error) if error.kind() != io::ErrorKind::AlreadyExists => return Err(error),
+                _ => {}
+            }
+            let Some(membership) = self.open_folder()? else { continue };
+            if flock(&membership.lock, FlockOperation::NonBlockingLockExclusive).is_ok() {
+                if !membership.is_current() {
+                    continue;
+                }
+                membership.endpoint.remove_contents()?;
+            }
+            flock(&membership.lock, FlockOperation::LockShared)?;
+            // Turning one lock into another is not atomic: somebody may have removed the folder.
+            if membership.is_current() {
+                return Ok(membership);
+            }
+        }
+    }
+
+    /// Removes all that is left under this name, unless somebody uses it. Returns whether it did.
+    pub fn remove_if_unused(&self) -> io::Result<bool> {
+        match self.open_folder()? {
+            Some(membership) => membership.remove_if_alone(),
+            None => Ok(true),
+        }
+    }
+
+    /// Whether a server runs, and which: one non-blocking lock, a few microseconds.
+    pub fn server_state(&self) -> ServerState {
+        let Ok(file) = File::open(self.server_lock()) else { return ServerState::Absent };
+        let locked = flock(&file, FlockOperation::NonBlockingLockShared).is_err();
+        match (locked, read_words(&file)) {
+            (true, [pid, epoch, _]) => ServerState::Running { pid: pid as u32, epoch },
+            (false, [_, epoch, CLOSED]) => ServerState::Closed { epoch },
+            (false, _) => ServerState::Absent,
+        }
+    }
+
+    /// Free shared memory, bytes.
+    pub fn free_memory() -> io::Result<u64> {
+        let status = rustix::fs::statvfs(SHARED_MEMORY)?;
+        Ok(status.f_bavail.saturating_mul(status.f_frsize))
+    }
+
+    fn server_lock(&self) -> PathBuf {
+        self.folder.join("server.lock")
+    }
+
+    fn open_folder(&self) -> io::Result<Option<Membership>> {
+        match File::open(&self.folder) {
+            Ok(lock) => Ok(Some(Membership { endpoint: self.clone(), lock })),
+            Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(None),
+            Err(error) => Err(error),
+        }
+    }
+
+    fn remove_contents(&self) -> io::Result<()> {
+        for entry in fs::read_dir(SHARED_MEMORY)? {
+            let entry = entry?;
+            if entry.file_name().to_str().is_some_and(|name| name.starts_with(&self.prefix)) {
+                fs::remove_file(entry.path())?;
+            }
+        }
+        for entry in fs::read_dir(&self.folder)? {
+            let path = entry?.path();
+            if path.is_dir() { fs::remove_dir_all(path)? } else { fs::remove_file(path)? }
+        }
+        Ok(())
+    }
+}
+
+fn folder_prefix() -> String {
+    format!("trocar.{}.", rustix::process::getuid().as_raw())
+}
+
+/// A shared lock on an endpoint's folder: as long as it is held, nobody removes the folder.
+#[derive(Debug)]
+pub struct Membership {
+    endpoint: Endpoint,
+    lock: File,
+}
+
+impl Membership {
+    /// The endpoint that was joined.
+    pub fn endpoint(&self) -> &Endpoint {
+        &self.endpoint
+    }
+
+    /// Takes the single-instance lock for the run `epoch` of a server; `Err` holds the process id
+    /// of the one that runs already.
+    pub fn become_server(&self, epoch: u64) -> io::Result<Result<ServerLock, u32>> {
+        let file = OpenOptions::new()
+            .read(true)
+            .write(true)
+            .create(true)
+            .truncate(false)
+            .mode(0o600)
+            .open(self.endpoint.server_lock())?;
+        if flock(&file, FlockOperation::NonBlockingLockExclusive).is_err() {
+            return Ok(Err(read_words(&file)[0] as u32));
+        }
+        let lock = ServerLock { file, epoch };
+        lock.write(0)?;
+        Ok(Ok(lock))
+    }
+
+    /// Creates this process's participant of the transport. Only a server removes the resources
+    /// of dead participants, after it has taken note of their death.
+    pub fn node(&self) -> Result<Node, iceoryx2::node::NodeCreationFailure> {
+        iceoryx2::prelude::set_log_level_from_env_or(LogLevel::Fatal);
+        NodeBuilder::new()
+            .config(&self.config())
+            .signal_handling_mode(SignalHandlingMode::Disabled)
+            .create::<Transport>()
+    }
+
+    /// The transport's configuration for this endpoint.
+    pub fn config(&self) -> Config {
+        const FITS: &str = "the folder's and the prefix's length are bounded by the name's";
+        let mut config = Config::default();
+        let folder = self.endpoint.folder.to_str().expect("the folder's name is ASCII");
+        let path = iceoryx2::prelude::Path::new(folder.as_bytes()).expect(FITS);
+        config.global.set_root_path(&path);
+        config.global.prefix = FileName::new(self.endpoint.prefix.as_bytes()).expect(FITS);
+        config.global.node.cleanup_dead_nodes_on_creation = false;
+        config.global.node.cleanup_dead_nodes_on_destruction = false;
+        config.global.service.cleanup_dead_nodes_on_open = false;
+        config
+    }
+
+    /// Leaves the endpoint and, where nobody else is there, removes all of it.
+    pub fn remove_if_alone(self) -> io::Result<bool> {
+        if flock(&self.lock, FlockOperation::NonBlockingLockExclusive).is_err() {
+            return Ok(false);
+        }
+        if self.is_current() {
+            self.endpoint.remove_contents()?;
+            fs::remove_dir(&self.endpoint.folder)?;
+        }
+        Ok(true)
+    }
+
+    /// Whether the folder that is locked is still the one that the path leads to.
+    fn is_current(&self) -> bool {
+        let identity = |metadata: fs::Metadata| (metadata.dev(), metadata.ino());
+        let locked = self.lock.metadata().map(identity).ok();
+        locked.is_some() && locked == fs::metadata(&self.endpoint.folder).map(identity).ok()
+    }
+}
+
+/// What [`Endpoint::server_state`] found.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum ServerState {
+    /// A server runs.
+    Running {
+        /// Its process id, in its own process namespace; 0 while it starts.
+        pid: u32,
+        /// Which run of the server it is.
+        epoch: u64,
+    },
+    /// The last server ended in order.
+    Closed {
+        /// Which run of the server it was.
+        epoch: u64,
+    },
+    /// No server runs; the last one, if any, died.
+    Absent,
+}
+
+/// The single-instance lock of a running server.
+#[derive(Debug)]
+pub struct ServerLock {
+    file: File,
+    epoch: u64,
+}
+
+/// Third word of the lock file after an orderly end.
+const CLOSED: u64 = 1;
+
+impl ServerLock {
+    /// Gives the lock back and leaves word that the server ended in order.
+    pub fn close(self) -> io::Result<()> {
+        self.write(CLOSED)
+    }
+
+    fn write(&self, closed: u64) -> io::Result<()> {
+        let words = [u64::from(std::process::id()), self.epoch, closed];
+        self.file.write_all_at(&words.map(u64::to_le_bytes).concat(), 0)
+    }
+}
+
+/// The three words of a lock file: process id, epoch, closed. Zeros where it is shorter.
+fn read_words(file: &File) -> [u64; 3] {
+    let mut bytes = [0; 24];
+    match file.read_exact_at(&mut bytes, 0) {
+        Ok(()) => [0, 8, 16].map(|at| {
+            u64::from_le_bytes(bytes[at..at + 8].try_into().expect("a word has 8 bytes"))
+        }),
+        Err(_) => [0; 3],
+    }
+}
+
+/// Name of the control service and of the event service that announces control messages.
+pub const CONTROL_SERVICE: &str = "control";
+
+/// Name of a session's data service.
+pub fn data_service(epoch: u64, session: u64) -> String {
+    format!("session/{epoch:016x}/{session}/data")
+}
+
+/// Name of the event service that announces a session's requests to the server.
+pub fn request_bell(epoch: u64, session: u64) -> String {
+    format!("session/{epoch:016x}/{session}/request")
+}
+
+/// Name of the event service that announces a session's replies to the client.
+pub fn reply_bell(epoch: u64, session: u64) -> String {
+    format!("session/{epoch:016x}/{session}/reply")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn unique(label: &str) -> Endpoint {
+        let name = format!("t-{label}-{}", std::process::id());
+        Endpoint::new(&name.parse().unwrap())
+    }
+
+    #[test]
+    fn names_are_checked() {
+        for bad in ["", "a/b", "a.b", "ä", "abcdefghijklmnopqrstuvwxy", ".."] {
+            let refusal = bad.parse::<ServerName>().unwrap_err();
+            assert!(refusal.to_string().contains("allowed"), "{refusal}");
+        }
+        assert!("abcdefghijklmnopqrstuvwx".parse::<ServerName>().is_ok());
+    }
+
+    #[test]
+    fn the_last_one_out_removes_everything() {
+        let endpoint = unique("last");
+        let first = endpoint.join().unwrap();
+        let second = endpoint.join().unwrap();
+        let stray = Path::new(SHARED_MEMORY).join(format!("{}stray", endpoint.prefix));
+        fs::write(&stray, "left by a crash").unwrap();
+        assert!(!first.remove_if_alone().unwrap());
+        assert!(endpoint.folder().exists() && stray.exists());
+        assert!(second.remove_if_alone().unwrap());
+        assert!(!endpoint.folder().exists() && !stray.exists());
+    }
+
+    #[test]
+    fn one_server_at_a_time() {
+        let endpoint = unique("single");
+        let membership = endpoint.join().unwrap();
+        assert_eq!(endpoint.server_state(), ServerState::Absent);
+        let lock = membership.become_server(7).unwrap().unwrap();
+        let pid = std::process::id();
+        assert_eq!(endpoint.server_state(), ServerState::Running { pid, epoch: 7 });
+        assert_eq!(membership.become_server(8).unwrap().unwrap_err(), pid);
+        drop(lock);
+        assert_eq!(endpoint.server_state(), ServerState::Absent);
+        membership.become_server(8).unwrap().unwrap().close().unwrap();
+        assert_eq!(endpoint.server_state(), ServerState::Closed { epoch: 8 });
+        assert!(membership.remove_if_alone().unwrap());
+    }
+
+    #[test]
+    fn whoever_comes_first_clears_what_a_crash_left() {
+        let endpoint = unique("crash");
+        fs::create_dir(endpoint.folder()).unwrap();
+        fs::write(endpoint.folder().join("stale"), "").unwrap();
+        let membership = endpoint.join().unwrap();
+        assert!(!endpoint.folder().join("stale").exists());
+        assert!(membership.remove_if_alone().unwrap());
+    }
+}

@@ -51,9 +51,22 @@ impl Code {
             UnknownOption, UnknownSession, UnknownTask, Unsupported, VersionMismatch,
         };
         [
-            UnknownTask, UnknownOption, InvalidOption, InvalidEnvCount, MemoryBudget,
-            VersionMismatch, StaleSession, UnknownSession, Malformed, TooManySessions,
-            ShuttingDown, ResetNeeded, InvalidAction, InvalidEnvIds, Unsupported, Simulation,
+            UnknownTask,
+            UnknownOption,
+            InvalidOption,
+            InvalidEnvCount,
+            MemoryBudget,
+            VersionMismatch,
+            StaleSession,
+            UnknownSession,
+            Malformed,
+            TooManySessions,
+            ShuttingDown,
+            ResetNeeded,
+            InvalidAction,
+            InvalidEnvIds,
+            Unsupported,
+            Simulation,
             Internal,
         ]
         .into_iter()

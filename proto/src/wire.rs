@@ -134,13 +134,12 @@ impl Planner {
     }
 
     fn bytes(&self) -> usize {
-        // Room for an encoded refusal, whatever the session's size.
-        self.end.next_multiple_of(ALIGNMENT).max(MIN_PAYLOAD)
+        self.end.next_multiple_of(ALIGNMENT)
     }
 }
 
-/// Smallest payload: a refusal must fit into any reply.
-const MIN_PAYLOAD: usize = 8192;
+/// Smallest payload of a reply, bytes: an encoded refusal must fit into any.
+const MIN_REPLY: usize = 8192;
 
 /// The arrays of a request.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -225,7 +224,7 @@ impl ReplyLayout {
             final_achieved_goal: plan.region::<f32>(goal),
             final_desired_goal: plan.region::<f32>(goal),
             expert_action: plan.region::<f32>(spec.action_dim()),
-            bytes: plan.bytes(),
+            bytes: plan.bytes().max(MIN_REPLY),
         }
     }
 }
@@ -259,10 +258,21 @@ mod tests {
         for envs in [1, 3, 64, 4096] {
             let layout = ReplyLayout::new(envs, &spec(5, 19, 3));
             let regions = [
-                layout.observation, layout.achieved_goal, layout.desired_goal, layout.reward,
-                layout.terminated, layout.truncated, layout.is_success, layout.fault,
-                layout.steps, layout.seed, layout.episode, layout.final_observation,
-                layout.final_achieved_goal, layout.final_desired_goal, layout.expert_action,
+                layout.observation,
+                layout.achieved_goal,
+                layout.desired_goal,
+                layout.reward,
+                layout.terminated,
+                layout.truncated,
+                layout.is_success,
+                layout.fault,
+                layout.steps,
+                layout.seed,
+                layout.episode,
+                layout.final_observation,
+                layout.final_achieved_goal,
+                layout.final_desired_goal,
+                layout.expert_action,
             ];
             for pair in regions.windows(2) {
                 assert!(pair[0].range(envs).end <= pair[1].offset);

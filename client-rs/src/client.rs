@@ -1,0 +1,175 @@
+//! The connection to a server.
+
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use trocar_proto::control::{
+    ClientInfo, ControlReply, ControlRequest, ServerInfo, ServerStatus, SessionRequest,
+};
+use trocar_proto::endpoint::{Endpoint, Membership, ServerName, ServerState};
+use trocar_proto::spec::Options;
+use trocar_proto::wire::Header;
+use trocar_proto::{PROTOCOL_VERSION, TaskSpec};
+
+use crate::error::{CallError, ConnectError};
+use crate::private;
+use crate::session::Session;
+use crate::transport::{Link, Owned};
+
+/// How long a client waits for a server that is just starting.
+const PATIENCE: Duration = Duration::from_secs(10);
+
+/// A connection to one server. Clones share it; it ends with the last clone or session.
+#[derive(Debug, Clone)]
+pub struct Client {
+    link: Arc<Owned<Link>>,
+    info: ClientInfo,
+    server: ServerInfo,
+}
+
+impl Client {
+    /// Connects to the running server of that name.
+    pub fn connect(name: &str) -> Result<Self, ConnectError> {
+        Self::connect_as(name, "rust")
+    }
+
+    /// Connects to `$TROCAR_SERVER`, else to the private server of this process tree, which is
+    /// started if it does not run yet and ends when its last client has been gone for a while.
+    pub fn connect_private() -> Result<Self, ConnectError> {
+        match std::env::var("TROCAR_SERVER") {
+            Ok(name) => Self::connect(&name),
+            Err(_) => Self::launch(&private::PrivateServer::of_this_process_tree()?, "rust"),
+        }
+    }
+
+    /// [`Self::connect`] for a client in another language.
+    #[doc(hidden)]
+    pub fn connect_as(name: &str, language: &str) -> Result<Self, ConnectError> {
+        let name: ServerName = name.parse()?;
+        let endpoint = Endpoint::new(&name);
+        if !matches!(endpoint.server_state(), ServerState::Running { .. }) {
+            return Err(ConnectError::NoServer { name: name.to_string() });
+        }
+        let membership = endpoint.join().map_err(shared_memory)?;
+        Self::over(membership, language)
+    }
+
+    /// Connects to a private server, which is started where it does not run.
+    #[doc(hidden)]
+    pub fn launch(server: &private::PrivateServer, language: &str) -> Result<Self, ConnectError> {
+        let membership = server.endpoint().join().map_err(shared_memory)?;
+        server.start_if_absent(&membership)?;
+        Self::over(membership, language)
+    }
+
+    fn over(membership: Membership, language: &str) -> Result<Self, ConnectError> {
+        let name = membership.endpoint().name().to_string();
+        let start = Instant::now();
+        let mut pause = Duration::from_millis(1);
+        loop {
+            match membership.endpoint().server_state() {
+                ServerState::Running { epoch, .. } => {
+                    let endpoint = membership.endpoint().clone();
+                    let joined = endpoint.join().map_err(shared_memory)?;
+                    match Self::hello(joined, epoch, language) {
+                        // Its services are not there yet, or it ended meanwhile: look again.
+                        Err(CallError::Transport(_) | CallError::ServerLost { .. })
+                            if start.elapsed() < PATIENCE => {}
+                        Err(CallError::Refused(refusal)) => return Err(refusal.into()),
+                        Err(CallError::Transport(reason)) => {
+                            return Err(ConnectError::Transport(reason));
+                        }
+                        Err(_) => return Err(ConnectError::NoServer { name }),
+                        Ok(client) => return Ok(client),
+                    }
+                }
+                ServerState::Closed { .. } | ServerState::Absent => {
+                    return Err(ConnectError::NoServer { name });
+                }
+            }
+            if start.elapsed() > PATIENCE {
+                return Err(ConnectError::Timeout { name, seconds: PATIENCE.as_secs_f64() });
+            }
+            std::thread::sleep(pause);
+            pause = (pause * 2).min(Duration::from_millis(100));
+        }
+    }
+
+    fn hello(membership: Membership, epoch: u64, language: &str) -> Result<Self, CallError> {
+        let link = Link::open(membership, epoch)?;
+        let info =
+            ClientInfo { node: link.node_id(), pid: std::process::id(), language: language.into() };
+        match link.call(&ControlRequest::Hello(info.clone()))? {
+            ControlReply::Hello(server) => {
+                Ok(Self { link: Arc::new(Owned::new(link)), info, server })
+            }
+            other => Err(unexpected(&other)),
+        }
+    }
+
+    /// The server, as it introduced itself.
+    pub fn server(&self) -> &ServerInfo {
+        &self.server
+    }
+
+    /// The ids of the tasks that the server offers.
+    pub fn tasks(&self) -> Result<Vec<String>, CallError> {
+        match self.call(&ControlRequest::ListTasks)? {
+            ControlReply::Tasks(ids) => Ok(ids),
+            other => Err(unexpected(&other)),
+        }
+    }
+
+    /// What a task looks like under some options.
+    pub fn describe(&self, task: &str, options: &Options) -> Result<TaskSpec, CallError> {
+        let request = ControlRequest::DescribeTask { task: task.into(), options: options.clone() };
+        match self.call(&request)? {
+            ControlReply::Task(spec) => Ok(spec),
+            other => Err(unexpected(&other)),
+        }
+    }
+
+    /// Opens a session: one task, N environments, one seed, its options.
+    pub fn open(&self, request: &SessionRequest) -> Result<Session, CallError> {
+        let request =
+            ControlRequest::OpenSession { request: request.clone(), client: self.info.clone() };
+        match self.call(&request)? {
+            ControlReply::Opened(info) => Session::new(Arc::clone(&self.link), info),
+            other => Err(unexpected(&other)),
+        }
+    }
+
+    /// Who is connected, and how fast it runs.
+    pub fn status(&self) -> Result<ServerStatus, CallError> {
+        match self.call(&ControlRequest::Status)? {
+            ControlReply::Status(status) => Ok(status),
+            other => Err(unexpected(&other)),
+        }
+    }
+
+    /// Ends the server, for all of its clients.
+    pub fn shut_down(&self) -> Result<(), CallError> {
+        match self.call(&ControlRequest::Shutdown)? {
+            ControlReply::Done => Ok(()),
+            other => Err(unexpected(&other)),
+        }
+    }
+
+    /// Sends arbitrary bytes as a control message, for tests of the server's defences.
+    #[doc(hidden)]
+    pub fn send_raw(&self, header: Header, bytes: &[u8]) -> Result<ControlReply, CallError> {
+        self.link.get()?.call_raw(header, bytes)
+    }
+
+    fn call(&self, request: &ControlRequest) -> Result<ControlReply, CallError> {
+        self.link.get()?.call(request)
+    }
+}
+
+pub(crate) fn unexpected(reply: &ControlReply) -> CallError {
+    CallError::Malformed(format!("version {PROTOCOL_VERSION} does not expect {reply:?} here"))
+}
+
+fn shared_memory(error: std::io::Error) -> ConnectError {
+    ConnectError::Transport(error.to_string())
+}

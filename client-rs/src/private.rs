@@ -1,0 +1,139 @@
+//! The private server of a process tree.
+//!
+//! Where no server is named, all processes that descend from one root process share a server of
+//! their own. Its name and the root's process id travel in [`VARIABLE`]; whoever needs the server
+//! first starts it. It ends when its last client has been gone for a while, or with the root
+//! process, however that ended.
+
+use std::fs::{File, OpenOptions};
+use std::io::Read;
+use std::os::unix::fs::OpenOptionsExt;
+use std::os::unix::process::CommandExt;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+use std::sync::OnceLock;
+use std::time::{Duration, Instant};
+
+use rustix::fs::{FlockOperation, flock};
+use trocar_proto::endpoint::{Endpoint, Membership, ServerName, ServerState};
+
+use crate::error::ConnectError;
+
+/// The environment variable that carries `<name>:<root process id>` to child processes.
+pub const VARIABLE: &str = "TROCAR_PRIVATE_SERVER";
+
+/// The environment variable with the path of the `trocar` program.
+pub const BINARY: &str = "TROCAR_BINARY";
+
+/// How long a starting server may take before its clients give up.
+const PATIENCE: Duration = Duration::from_secs(20);
+
+/// A private server: its name, the process whose end it follows, and the program to start.
+#[derive(Debug, Clone)]
+pub struct PrivateServer {
+    name: ServerName,
+    root: u32,
+    binary: PathBuf,
+}
+
+impl PrivateServer {
+    /// The private server that [`VARIABLE`] names, else one of this process alone. The program is
+    /// `$TROCAR_BINARY`, else `trocar` beside this executable, else on the PATH.
+    pub fn of_this_process_tree() -> Result<Self, ConnectError> {
+        static OWN: OnceLock<String> = OnceLock::new();
+        let text = match std::env::var(VARIABLE) {
+            Ok(text) => text,
+            Err(_) => OWN.get_or_init(new_identity).clone(),
+        };
+        let beside = std::env::current_exe().ok().map(|path| path.with_file_name("trocar"));
+        let binary = std::env::var_os(BINARY)
+            .map(PathBuf::from)
+            .or_else(|| beside.filter(|path| path.is_file()))
+            .unwrap_or_else(|| PathBuf::from("trocar"));
+        Self::new(&text, &binary)
+    }
+
+    /// The private server of `identity` (`<name>:<root process id>`), run by `binary`.
+    pub fn new(identity: &str, binary: &Path) -> Result<Self, ConnectError> {
+        let malformed = || ConnectError::Launch {
+            reason: format!("{VARIABLE} is {identity:?}; expected <name>:<process id>"),
+        };
+        let (name, root) = identity.split_once(':').ok_or_else(malformed)?;
+        let root = root.parse().map_err(|_| malformed())?;
+        Ok(Self { name: name.parse()?, root, binary: binary.into() })
+    }
+
+    /// Where it is found.
+    pub fn endpoint(&self) -> Endpoint {
+        Endpoint::new(&self.name)
+    }
+
+    /// Starts the server unless it runs. One process starts it, the others wait for that.
+    pub(crate) fn start_if_absent(&self, membership: &Membership) -> Result<(), ConnectError> {
+        let failed = |what: &str, reason: &dyn std::fmt::Display| ConnectError::Launch {
+            reason: format!("{what}: {reason}"),
+        };
+        let folder = membership.endpoint().folder();
+        let mut options = OpenOptions::new();
+        options.read(true).write(true).create(true).mode(0o600);
+        let turn = options
+            .clone()
+            .truncate(false)
+            .open(folder.join("launch.lock"))
+            .map_err(|error| failed("launch.lock", &error))?;
+        flock(&turn, FlockOperation::LockExclusive)
+            .map_err(|error| failed("launch.lock", &error))?;
+        let runs = || matches!(membership.endpoint().server_state(), ServerState::Running { .. });
+        if runs() {
+            return Ok(());
+        }
+        let log_path = folder.join("server.log");
+        let log =
+            options.truncate(true).open(&log_path).map_err(|error| failed("server.log", &error))?;
+        let mut child = Command::new(&self.binary)
+            .args(["serve", "--name", self.name.as_str()])
+            .args(["--private", &self.root.to_string()])
+            .stdin(Stdio::null())
+            .stdout(Stdio::null())
+            .stderr(log)
+            // A group of its own: Ctrl-C in a terminal is for the trainers.
+            .process_group(0)
+            .spawn()
+            .map_err(|error| {
+                let binary = self.binary.display();
+                let hint = format!(
+                    "install it (pip install trocar-server), or say in ${BINARY} where it is"
+                );
+                failed(&format!("{binary}: {hint}"), &error)
+            })?;
+        let start = Instant::now();
+        while !runs() {
+            let ended = child.try_wait().map_err(|error| failed("wait", &error))?;
+            if let Some(status) = ended {
+                let mut log = String::new();
+                File::open(&log_path).and_then(|mut file| file.read_to_string(&mut log)).ok();
+                return Err(failed(&format!("it ended with {status}"), &log.trim()));
+            }
+            if start.elapsed() > PATIENCE {
+                return Err(failed("it did not come up", &log_path.display()));
+            }
+            std::thread::sleep(Duration::from_millis(2));
+        }
+        // Somebody must collect its exit status, or it stays a zombie as long as this process.
+        std::thread::spawn(move || child.wait());
+        Ok(())
+    }
+}
+
+/// A name that nobody else has, and this process as the root: `<name>:<process id>`.
+pub fn new_identity() -> String {
+    let mut bytes = [0; 6];
+    let filled = File::open("/dev/urandom").and_then(|mut file| file.read_exact(&mut bytes));
+    let unique = match filled {
+        Ok(()) => bytes.iter().fold(0, |value, byte| value << 8 | u64::from(*byte)),
+        // Time and process id are unique on one machine.
+        Err(_) => std::time::UNIX_EPOCH.elapsed().map_or(0, |time| time.as_micros() as u64),
+    };
+    let pid = std::process::id();
+    format!("private-{:012x}:{pid}", unique & 0xffff_ffff_ffff)
+}

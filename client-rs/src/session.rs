@@ -1,0 +1,382 @@
+//! A session: N environments of one task, stepped by one message.
+
+use std::collections::VecDeque;
+use std::sync::Arc;
+use std::time::Duration;
+
+use trocar_proto::control::{ControlRequest, SessionInfo};
+use trocar_proto::wire::{Header, MAX_IN_FLIGHT, ReplyLayout, RequestLayout, flag, kind};
+use trocar_proto::{Code, Rejection, TaskSpec};
+
+use crate::error::CallError;
+use crate::transport::{DataPort, Link, Owned, RawPending, RawReply, SLICE, refusal};
+
+/// N environments of one task, which live in the server until this is dropped.
+#[derive(Debug)]
+pub struct Session {
+    in_flight: VecDeque<InFlight>,
+    port: Owned<DataPort>,
+    info: Arc<SessionInfo>,
+    request_layout: RequestLayout,
+    reply_layout: Arc<ReplyLayout>,
+    want_expert: bool,
+    requests: u64,
+}
+
+/// A request that was not answered yet. Declared order is drop order.
+#[derive(Debug)]
+struct InFlight {
+    pending: Owned<RawPending>,
+    env_ids: EnvIds,
+    /// Nobody waits for the reply any more; it is received and dropped.
+    abandoned: bool,
+}
+
+/// Which environments a request is about.
+#[derive(Debug, Clone, PartialEq, Eq)]
+enum EnvIds {
+    All(u32),
+    Some(Arc<[u32]>),
+}
+
+impl EnvIds {
+    fn len(&self) -> usize {
+        match self {
+            Self::All(count) => *count as usize,
+            Self::Some(ids) => ids.len(),
+        }
+    }
+}
+
+impl Session {
+    pub(crate) fn new(link: Arc<Owned<Link>>, info: SessionInfo) -> Result<Self, CallError> {
+        let envs = info.envs as usize;
+        let request_layout = RequestLayout::new(envs, &info.spec);
+        let reply_layout = Arc::new(ReplyLayout::new(envs, &info.spec));
+        let port = Owned::new(DataPort::open(link, &info, request_layout.bytes)?);
+        let info = Arc::new(info);
+        let in_flight = VecDeque::with_capacity(MAX_IN_FLIGHT);
+        Ok(Self {
+            in_flight,
+            port,
+            info,
+            request_layout,
+            reply_layout,
+            want_expert: false,
+            requests: 0,
+        })
+    }
+
+    /// The session, as the server opened it.
+    pub fn info(&self) -> &SessionInfo {
+        &self.info
+    }
+
+    /// The task under the session's options.
+    pub fn spec(&self) -> &TaskSpec {
+        &self.info.spec
+    }
+
+    /// Number of environments.
+    pub fn envs(&self) -> usize {
+        self.info.envs as usize
+    }
+
+    /// Whether replies shall carry the scripted expert's action for the state they return.
+    pub fn want_expert(&mut self, wanted: bool) {
+        self.want_expert = wanted;
+    }
+
+    /// Resets every environment to the next episode of its seed (the first one, at first).
+    pub fn reset(&mut self) -> Result<Reply, CallError> {
+        self.start_reset(None, None)?;
+        self.recv()
+    }
+
+    /// Resets the environments `env_ids` (strictly increasing), to the first episode of
+    /// `seeds[i]` where seeds are given, else to the next episode of their seed.
+    pub fn reset_envs(
+        &mut self,
+        env_ids: &[u32],
+        seeds: Option<&[u64]>,
+    ) -> Result<Reply, CallError> {
+        self.start_reset(Some(env_ids), seeds)?;
+        self.recv()
+    }
+
+    /// Steps every environment; `actions` is (envs, action dim), row by row.
+    pub fn step(&mut self, actions: &[f32]) -> Result<Reply, CallError> {
+        self.start_step(None, actions)?;
+        self.recv()
+    }
+
+    /// Starts a step of the environments `env_ids` (strictly increasing); `actions` is
+    /// (env_ids.len(), action dim). Up to two disjoint groups may be under way; replies come in
+    /// the order of the sends.
+    pub fn send(&mut self, env_ids: &[u32], actions: &[f32]) -> Result<(), CallError> {
+        self.start_step(Some(env_ids), actions)
+    }
+
+    /// Waits for the reply to the oldest request in flight.
+    pub fn recv(&mut self) -> Result<Reply, CallError> {
+        loop {
+            if let Some(reply) = self.poll(SLICE)? {
+                return Ok(reply);
+            }
+        }
+    }
+
+    /// Starts a reset of the environments `env_ids` (all if `None`); [`Self::recv`] or
+    /// [`Self::poll`] gives the reply.
+    pub fn start_reset(
+        &mut self,
+        env_ids: Option<&[u32]>,
+        seeds: Option<&[u64]>,
+    ) -> Result<(), CallError> {
+        let env_ids = self.check_env_ids(env_ids)?;
+        if let Some(seeds) = seeds {
+            check_length("seeds", seeds.len(), env_ids.len(), Code::InvalidEnvIds)?;
+        }
+        let flags = if seeds.is_some() { flag::HAS_SEEDS } else { 0 };
+        let region = self.request_layout.seeds;
+        self.start(kind::RESET, flags, env_ids, |payload, rows| {
+            if let Some(seeds) = seeds {
+                region.view_mut::<u64>(payload, rows).copy_from_slice(seeds);
+            }
+        })
+    }
+
+    /// Starts a step of the environments `env_ids` (all if `None`).
+    pub fn start_step(
+        &mut self,
+        env_ids: Option<&[u32]>,
+        actions: &[f32],
+    ) -> Result<(), CallError> {
+        let env_ids = self.check_env_ids(env_ids)?;
+        let expected = env_ids.len() * self.spec().action_dim();
+        check_length("actions", actions.len(), expected, Code::InvalidAction)?;
+        let region = self.request_layout.actions;
+        self.start(kind::STEP, 0, env_ids, |payload, rows| {
+            region.view_mut::<f32>(payload, rows).copy_from_slice(actions);
+        })
+    }
+
+    /// Waits at most `patience` for the reply to the oldest request in flight.
+    pub fn poll(&mut self, patience: Duration) -> Result<Option<Reply>, CallError> {
+        let port = self.port.get()?;
+        let Some(oldest) = self.in_flight.front() else { return Err(CallError::NothingInFlight) };
+        let Some(raw) = port.receive(&oldest.pending, patience)? else { return Ok(None) };
+        let InFlight { pending, env_ids, .. } =
+            self.in_flight.pop_front().expect("the oldest is there");
+        drop(pending);
+        if raw.user_header().status != 0 {
+            return Err(refusal(&raw));
+        }
+        if raw.payload().len() < self.reply_layout.bytes {
+            return Err(CallError::Malformed("the payload is too short".into()));
+        }
+        Ok(Some(Reply {
+            raw: Owned::new(raw),
+            env_ids,
+            info: Arc::clone(&self.info),
+            layout: Arc::clone(&self.reply_layout),
+        }))
+    }
+
+    /// Gives up on the replies of all requests in flight (after an interrupted wait). They are
+    /// still carried out; [`Self::settle`], or the next request, waits for that.
+    pub fn abandon(&mut self) {
+        for request in &mut self.in_flight {
+            request.abandoned = true;
+        }
+    }
+
+    /// Waits at most `patience` for the replies that were given up on; whether none is left.
+    pub fn settle(&mut self, patience: Duration) -> Result<bool, CallError> {
+        while self.in_flight.front().is_some_and(|request| request.abandoned) {
+            match self.poll(patience) {
+                Ok(Some(_)) | Err(CallError::Refused(_)) => {}
+                Ok(None) => return Ok(false),
+                Err(error) => return Err(error),
+            }
+        }
+        Ok(true)
+    }
+
+    fn start(
+        &mut self,
+        kind: u32,
+        flags: u32,
+        env_ids: EnvIds,
+        fill: impl FnOnce(&mut [u8], usize),
+    ) -> Result<(), CallError> {
+        self.port.get()?;
+        while !self.settle(SLICE)? {}
+        if self.in_flight.len() == MAX_IN_FLIGHT {
+            return Err(CallError::TooManyInFlight);
+        }
+        self.requests += 1;
+        let rows = env_ids.len();
+        let header = Header {
+            flags: flags | if self.want_expert { flag::WANT_EXPERT } else { 0 },
+            request: self.requests,
+            session: self.info.session,
+            epoch: self.info.epoch,
+            rows: rows as u32,
+            ..Header::new(kind)
+        };
+        let region = self.request_layout.env_ids;
+        let pending = self.port.send(header, |payload| {
+            let ids = region.view_mut::<u32>(payload, rows);
+            match &env_ids {
+                EnvIds::All(count) => ids.iter_mut().zip(0..*count).for_each(|(id, i)| *id = i),
+                EnvIds::Some(chosen) => ids.copy_from_slice(chosen),
+            }
+            fill(payload, rows);
+        })?;
+        let pending = Owned::new(pending);
+        self.in_flight.push_back(InFlight { pending, env_ids, abandoned: false });
+        Ok(())
+    }
+
+    fn check_env_ids(&self, env_ids: Option<&[u32]>) -> Result<EnvIds, CallError> {
+        let Some(ids) = env_ids else { return Ok(EnvIds::All(self.info.envs)) };
+        let increasing = ids.windows(2).all(|pair| pair[0] < pair[1]);
+        let in_range = ids.last().is_some_and(|last| *last < self.info.envs);
+        if increasing && in_range {
+            return Ok(EnvIds::Some(ids.into()));
+        }
+        Err(Rejection::new(
+            Code::InvalidEnvIds,
+            "env_ids",
+            format!("{ids:?}"),
+            format!("allowed are one or more increasing numbers below {}", self.info.envs),
+        )
+        .into())
+    }
+}
+
+impl Drop for Session {
+    fn drop(&mut self) {
+        if let Ok(port) = self.port.get() {
+            let request = ControlRequest::CloseSession { session: self.info.session };
+            // Where the server is gone, so is the session.
+            port.link().call(&request).ok();
+        }
+    }
+}
+
+fn check_length(field: &str, found: usize, expected: usize, code: Code) -> Result<(), CallError> {
+    if found == expected {
+        return Ok(());
+    }
+    let found = format!("{found} numbers");
+    Err(Rejection::new(code, field, found, format!("expected {expected}")).into())
+}
+
+/// The reply to a reset or a step: arrays in shared memory, valid until this is dropped.
+/// Row r belongs to environment `env_id(r)`.
+#[derive(Debug)]
+pub struct Reply {
+    raw: Owned<RawReply>,
+    env_ids: EnvIds,
+    info: Arc<SessionInfo>,
+    layout: Arc<ReplyLayout>,
+}
+
+impl Reply {
+    /// Number of rows.
+    pub fn rows(&self) -> usize {
+        self.env_ids.len()
+    }
+
+    /// The environment of row `row`.
+    pub fn env_id(&self, row: usize) -> u32 {
+        match &self.env_ids {
+            EnvIds::All(_) => row as u32,
+            EnvIds::Some(ids) => ids[row],
+        }
+    }
+
+    /// The task's specification, which says what each element means.
+    pub fn spec(&self) -> &TaskSpec {
+        &self.info.spec
+    }
+
+    /// State after the transition, or after the autoreset: (rows, observation dim).
+    pub fn observation(&self) -> &[f32] {
+        self.layout.observation.view(self.raw.payload(), self.rows())
+    }
+
+    /// Achieved goal of that state: (rows, goal dim).
+    pub fn achieved_goal(&self) -> &[f32] {
+        self.layout.achieved_goal.view(self.raw.payload(), self.rows())
+    }
+
+    /// Desired goal of that state: (rows, goal dim).
+    pub fn desired_goal(&self) -> &[f32] {
+        self.layout.desired_goal.view(self.raw.payload(), self.rows())
+    }
+
+    /// Reward of the transition: (rows); 0 for a reset.
+    pub fn reward(&self) -> &[f32] {
+        self.layout.reward.view(self.raw.payload(), self.rows())
+    }
+
+    /// 1 where the episode ended in a terminal state: (rows).
+    pub fn terminated(&self) -> &[u8] {
+        self.layout.terminated.view(self.raw.payload(), self.rows())
+    }
+
+    /// 1 where the episode ended at its time limit, or because its simulation failed: (rows).
+    pub fn truncated(&self) -> &[u8] {
+        self.layout.truncated.view(self.raw.payload(), self.rows())
+    }
+
+    /// 1 where the transition ended in success, before any autoreset: (rows).
+    pub fn is_success(&self) -> &[u8] {
+        self.layout.is_success.view(self.raw.payload(), self.rows())
+    }
+
+    /// A [`Code`] where the environment's simulation failed, else 0: (rows).
+    pub fn fault(&self) -> &[u8] {
+        self.layout.fault.view(self.raw.payload(), self.rows())
+    }
+
+    /// Steps since the episode began: (rows); 0 after a reset or autoreset.
+    pub fn steps(&self) -> &[u32] {
+        self.layout.steps.view(self.raw.payload(), self.rows())
+    }
+
+    /// Seed of the episode: (rows).
+    pub fn seed(&self) -> &[u64] {
+        self.layout.seed.view(self.raw.payload(), self.rows())
+    }
+
+    /// Number of the episode under its seed: (rows).
+    pub fn episode(&self) -> &[u64] {
+        self.layout.episode.view(self.raw.payload(), self.rows())
+    }
+
+    /// Last observation of an episode that a same-step autoreset replaced: (rows, observation
+    /// dim); meaningful where terminated or truncated.
+    pub fn final_observation(&self) -> &[f32] {
+        self.layout.final_observation.view(self.raw.payload(), self.rows())
+    }
+
+    /// Its achieved goal: (rows, goal dim).
+    pub fn final_achieved_goal(&self) -> &[f32] {
+        self.layout.final_achieved_goal.view(self.raw.payload(), self.rows())
+    }
+
+    /// Its desired goal: (rows, goal dim).
+    pub fn final_desired_goal(&self) -> &[f32] {
+        self.layout.final_desired_goal.view(self.raw.payload(), self.rows())
+    }
+
+    /// The scripted expert's action for the returned state: (rows, action dim); zeros unless
+    /// [`Session::want_expert`] was set.
+    pub fn expert_action(&self) -> &[f32] {
+        self.layout.expert_action.view(self.raw.payload(), self.rows())
+    }
+}

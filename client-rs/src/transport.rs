@@ -1,0 +1,299 @@
+//! The only file of the client that knows the transport.
+//!
+//! Objects of the transport must not be dropped by a forked child: they would remove shared
+//! memory that the parent still uses. [`Owned`] sees to that.
+
+use std::mem::ManuallyDrop;
+use std::ops::Deref;
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use iceoryx2::pending_response::PendingResponse;
+use iceoryx2::port::ReceiveError;
+use iceoryx2::port::client::Client as ClientPort;
+use iceoryx2::port::listener::Listener;
+use iceoryx2::port::notifier::Notifier;
+use iceoryx2::prelude::{Alignment, EventId, ServiceName};
+use iceoryx2::response::Response;
+use trocar_proto::Rejection;
+use trocar_proto::control::{self, ControlReply, ControlRequest, MAX_MESSAGE, SessionInfo};
+use trocar_proto::endpoint::{self, Membership, Node, ServerState, Transport};
+use trocar_proto::wire::{ALIGNMENT, Header};
+
+use crate::error::CallError;
+
+/// How long a wait may last before the server's life is checked.
+pub(crate) const SLICE: Duration = Duration::from_millis(100);
+
+/// How long control replies are polled for without sleeping.
+const BRISK: Duration = Duration::from_micros(200);
+
+/// A reply in shared memory; it stays there until this is dropped.
+pub(crate) type RawReply = Response<Transport, [u8], Header>;
+
+/// A request that was sent and not yet answered.
+pub(crate) type RawPending = PendingResponse<Transport, [u8], Header, [u8], Header>;
+
+type Port = ClientPort<Transport, [u8], Header, [u8], Header>;
+
+/// A value that only the process that made it may drop.
+#[derive(Debug)]
+pub(crate) struct Owned<T> {
+    value: ManuallyDrop<T>,
+    process: u32,
+}
+
+impl<T> Owned<T> {
+    pub(crate) fn new(value: T) -> Self {
+        Self { value: ManuallyDrop::new(value), process: std::process::id() }
+    }
+
+    /// The value, unless this is a forked child of the process that made it.
+    pub(crate) fn get(&self) -> Result<&T, CallError> {
+        if self.process == std::process::id() {
+            Ok(&self.value)
+        } else {
+            Err(CallError::Forked { owner: self.process })
+        }
+    }
+}
+
+impl<T> Deref for Owned<T> {
+    type Target = T;
+
+    fn deref(&self) -> &T {
+        &self.value
+    }
+}
+
+impl<T> Drop for Owned<T> {
+    #[allow(unsafe_code)]
+    fn drop(&mut self) {
+        if self.process == std::process::id() {
+            // SAFETY: the value is dropped here only, and not touched afterwards.
+            unsafe { ManuallyDrop::drop(&mut self.value) }
+        }
+    }
+}
+
+/// Names an operation of the transport that failed.
+pub(crate) fn transport<E: std::fmt::Debug>(what: &'static str) -> impl FnOnce(E) -> CallError {
+    move |error| CallError::Transport(format!("{what}: {error:?}"))
+}
+
+/// The connection of one client: its participant of the transport and the control port.
+#[derive(Debug)]
+pub(crate) struct Link {
+    // Declaration order is drop order: ports before the node, the node before the membership.
+    control: Port,
+    bell: Notifier<Transport>,
+    node: Node,
+    endpoint: Leaving,
+    epoch: u64,
+}
+
+/// Leaves the endpoint when dropped, removing everything if nobody else is there.
+#[derive(Debug)]
+struct Leaving(Option<Membership>);
+
+impl Drop for Leaving {
+    fn drop(&mut self) {
+        if let Some(membership) = self.0.take() {
+            // What cannot be removed now, the next one to come or go removes.
+            membership.remove_if_alone().ok();
+        }
+    }
+}
+
+impl Link {
+    /// Opens the control port of the run `epoch` of the server.
+    pub(crate) fn open(membership: Membership, epoch: u64) -> Result<Self, CallError> {
+        let node = membership.node().map_err(transport("node"))?;
+        let name = service_name(endpoint::CONTROL_SERVICE);
+        let service = node
+            .service_builder(&name)
+            .request_response::<[u8], [u8]>()
+            .request_user_header::<Header>()
+            .response_user_header::<Header>()
+            .open()
+            .map_err(transport("control service"))?;
+        let control = service
+            .client_builder()
+            .initial_max_slice_len(MAX_MESSAGE)
+            .create()
+            .map_err(transport("control port"))?;
+        let event =
+            node.service_builder(&name).event().open().map_err(transport("control bell"))?;
+        let bell = event.notifier_builder().create().map_err(transport("control bell port"))?;
+        Ok(Self { control, bell, node, endpoint: Leaving(Some(membership)), epoch })
+    }
+
+    /// The number that names this participant to the server.
+    pub(crate) fn node_id(&self) -> u128 {
+        self.node.id().value()
+    }
+
+    /// An error if the server that this client connected to is gone.
+    pub(crate) fn check_server(&self) -> Result<(), CallError> {
+        let endpoint = self.endpoint.0.as_ref().expect("present until dropped").endpoint();
+        let closed = match endpoint.server_state() {
+            ServerState::Running { epoch, .. } if epoch == self.epoch => return Ok(()),
+            ServerState::Closed { epoch } => epoch == self.epoch,
+            ServerState::Running { .. } | ServerState::Absent => false,
+        };
+        Err(CallError::ServerLost { name: endpoint.name().to_string(), closed })
+    }
+
+    /// Sends one control request and waits for its reply; a refusal is an error.
+    pub(crate) fn call(&self, request: &ControlRequest) -> Result<ControlReply, CallError> {
+        let mut bytes = vec![0; MAX_MESSAGE];
+        let length = control::encode(request, &mut bytes)?;
+        let header = Header { length: length as u32, ..Header::new(request.kind()) };
+        let reply = self.call_raw(header, &bytes[..length])?;
+        match reply {
+            ControlReply::Refused(refusal) => Err(refusal.into()),
+            reply => Ok(reply),
+        }
+    }
+
+    /// Sends any header and bytes as a control request; the tests send broken ones.
+    pub(crate) fn call_raw(&self, header: Header, bytes: &[u8]) -> Result<ControlReply, CallError> {
+        let mut request =
+            self.control.loan_slice(bytes.len().max(1)).map_err(transport("control request"))?;
+        request.payload_mut()[..bytes.len()].copy_from_slice(bytes);
+        *request.user_header_mut() = header;
+        let pending = request.send().map_err(transport("control request"))?;
+        ring(&self.bell)?;
+        let start = Instant::now();
+        let mut checked = start;
+        loop {
+            if let Some(reply) = pending.receive().map_err(transport("control reply"))? {
+                let length = (reply.user_header().length as usize).min(reply.payload().len());
+                return Ok(control::decode(&reply.payload()[..length])?);
+            }
+            if checked.elapsed() > SLICE {
+                self.check_server()?;
+                checked = Instant::now();
+            }
+            if start.elapsed() < BRISK {
+                std::thread::yield_now();
+            } else {
+                std::thread::sleep(BRISK);
+            }
+        }
+    }
+}
+
+/// The ports of one session.
+#[derive(Debug)]
+pub(crate) struct DataPort {
+    port: Port,
+    bell: Notifier<Transport>,
+    reply_bell: Listener<Transport>,
+    request_bytes: usize,
+    link: Arc<Owned<Link>>,
+}
+
+impl DataPort {
+    pub(crate) fn open(
+        link: Arc<Owned<Link>>,
+        info: &SessionInfo,
+        request_bytes: usize,
+    ) -> Result<Self, CallError> {
+        let alignment = Alignment::new(ALIGNMENT).expect("a power of two");
+        let (epoch, session) = (info.epoch, info.session);
+        let service = link
+            .node
+            .service_builder(&service_name(&endpoint::data_service(epoch, session)))
+            .request_response::<[u8], [u8]>()
+            .request_user_header::<Header>()
+            .response_user_header::<Header>()
+            .request_payload_alignment(alignment)
+            .response_payload_alignment(alignment)
+            .open()
+            .map_err(transport("data service"))?;
+        let port = service
+            .client_builder()
+            .initial_max_slice_len(request_bytes)
+            .create()
+            .map_err(transport("data port"))?;
+        let bell = |name: String| {
+            let builder = link.node.service_builder(&service_name(&name));
+            builder.event().open().map_err(transport("session bell"))
+        };
+        let request_bell = bell(endpoint::request_bell(epoch, session))?;
+        let reply_bell = bell(endpoint::reply_bell(epoch, session))?;
+        Ok(Self {
+            port,
+            bell: request_bell.notifier_builder().create().map_err(transport("request bell"))?,
+            reply_bell: reply_bell.listener_builder().create().map_err(transport("reply bell"))?,
+            request_bytes,
+            link,
+        })
+    }
+
+    /// Sends a request whose payload `fill` writes.
+    pub(crate) fn send(
+        &self,
+        header: Header,
+        fill: impl FnOnce(&mut [u8]),
+    ) -> Result<RawPending, CallError> {
+        let mut request = self.port.loan_slice(self.request_bytes).map_err(transport("request"))?;
+        fill(request.payload_mut());
+        *request.user_header_mut() = header;
+        let pending = request.send().map_err(transport("request"))?;
+        ring(&self.bell)?;
+        Ok(pending)
+    }
+
+    /// Waits at most `patience` for the reply to `pending`; checks that the server lives whenever
+    /// a wait was in vain.
+    pub(crate) fn receive(
+        &self,
+        pending: &RawPending,
+        patience: Duration,
+    ) -> Result<Option<RawReply>, CallError> {
+        let deadline = Instant::now() + patience;
+        loop {
+            match pending.receive() {
+                Ok(Some(reply)) => return Ok(Some(reply)),
+                Ok(None) => {}
+                Err(ReceiveError::ExceedsMaxBorrows) => return Err(CallError::TooManyHeld),
+                Err(error) => return Err(transport("reply")(error)),
+            }
+            let left = deadline.saturating_duration_since(Instant::now());
+            if left.is_zero() {
+                return Ok(None);
+            }
+            let rung = self
+                .reply_bell
+                .timed_wait(|_| {}, left.min(SLICE))
+                .map_err(transport("reply bell"))?;
+            if rung == 0 {
+                self.link.check_server()?;
+            }
+        }
+    }
+
+    pub(crate) fn link(&self) -> &Link {
+        &self.link
+    }
+}
+
+fn ring(bell: &Notifier<Transport>) -> Result<(), CallError> {
+    // Fails where the bell's queue is full, and then the server wakes up anyway.
+    bell.notify_with_custom_event_id(EventId::new(0)).map(|_| ()).map_err(transport("bell"))
+}
+
+fn service_name(name: &str) -> ServiceName {
+    name.try_into().expect("names of services are short")
+}
+
+/// A refusal that travelled in a data reply.
+pub(crate) fn refusal(reply: &RawReply) -> CallError {
+    let length = (reply.user_header().length as usize).min(reply.payload().len());
+    match control::decode::<Rejection>(&reply.payload()[..length]) {
+        Ok(refusal) => refusal.into(),
+        Err(refusal) => CallError::Malformed(refusal.to_string()),
+    }
+}
