@@ -1,1 +1,3 @@
-//! x
+//! Trocar's simulation, tasks and hosting.
+
+pub mod robots;
