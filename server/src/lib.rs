@@ -2,6 +2,7 @@
 //!
 //! | module | holds |
 //! |---|---|
+//! | [`robots`] | the arms: kinematics, joint limits |
 //! | [`sim`] | the world: physics in SI units, instruments as bodies |
 //! | [`tasks`] | what is learnt: one file per task, and the registry that lists them |
 //! | [`env`] | one environment: a task in its world, episode by episode |
