@@ -3,6 +3,7 @@
 //! | module | holds |
 //! |---|---|
 //! | [`robots`] | the arms: kinematics, joint limits |
+//! | [`assets`] | models of objects, embedded |
 //! | [`sim`] | the world: physics in SI units, instruments as bodies |
 //! | [`tasks`] | what is learnt: one file per task, and the registry that lists them |
 //! | [`env`] | one environment: a task in its world, episode by episode |
@@ -10,6 +11,7 @@
 //!
 //! Nothing here but hosting knows of clients: an [`Env`] runs wherever it is made.
 
+pub mod assets;
 pub mod env;
 pub mod error;
 pub mod robots;

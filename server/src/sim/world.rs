@@ -60,6 +60,22 @@ pub struct Part {
     pub shape: Shape,
 }
 
+impl Part {
+    /// The box around it when its body is at `world_from_body`, m.
+    pub fn aabb(&self, world_from_body: &Pose) -> Aabb {
+        let world_from_part = world_from_body * self.body_from_part;
+        match &self.shape {
+            Shape::Cuboid(half) => {
+                let corners = Aabb { min: -half, max: *half }.corners();
+                Aabb::around(corners.map(|corner| world_from_part * corner))
+            }
+            Shape::Capsule { a, b, radius } => {
+                Aabb::around([world_from_part * a, world_from_part * b]).grown(*radius)
+            }
+        }
+    }
+}
+
 /// What moves a body.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Motion {

@@ -24,7 +24,7 @@
 //! | 2 | camera z | −0.26 | 0.26 | m |
 //! | 3 | roll of the camera, RCM frame | −π | π | rad |
 //! | 4 | pitch | −π/2 | π/2 | rad |
-//! | 5 | yaw | −π | π | rad |
+//! | 5 | yaw; 0 while the roll joint is, as under `paper` | −π | π | rad |
 //!
 //! The angles are extrinsic XYZ Euler angles, R = Rz(yaw)·Ry(pitch)·Rx(roll), of the camera with its
 //! z axis against the view, 0 for a straight arm. Achieved goal: the true position of the camera

@@ -68,7 +68,7 @@
 //! # Differences from the original
 //!
 //! - Metres instead of metres × 5; the needle's area follows the paper (`narrow` is the code's).
-//! - The needle weighs 0.39 g (steel) instead of 10 g and lies at rest from the first step.
+//! - The needle weighs 0.36 g (steel) instead of 10 g and lies at rest from the first step.
 //! - dVRK's joint limits; the jaws stay above the pad instead of running into it.
 //! - An instrument that would crush the needle yields.
 //! - Seeds determine the episode.
@@ -143,7 +143,7 @@ impl Task for NeedleReach {
         let paper = PaperAction { turns: false, jaw: false };
         let start = [WORKSPACE.min.x, WORKSPACE.max.y, WORKSPACE.max.z + TIP_OFFSET];
         let task = Self {
-            arm: PsmArm::insert(&mut world, options, paper, start)?,
+            arm: PsmArm::insert(&mut world, options, paper, start, psm_scene::pad().max.z)?,
             needle,
             narrow: options.text("spawn") == Some("narrow"),
             preset,
@@ -222,6 +222,7 @@ impl Task for NeedleReach {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::assets::Model;
     use crate::sim::frames::Aabb;
 
     #[test]
@@ -233,11 +234,65 @@ mod tests {
             task.reset(&mut world, &mut Rng::new(seed, 0));
             let middle = task.needle.middle(&world);
             assert!((task.goal - middle - Vector3::new(0.0, 0.0, 0.005)).norm() < 1e-12);
-            assert!((middle.z - psm_scene::PAD_TOP - Needle::WIRE_RADIUS).abs() < 1e-6);
+            assert!((middle.z - psm_scene::pad().max.z - 0.5e-3).abs() < 1e-6);
             assert!(WORKSPACE.meets(&Aabb::around([middle.into()])));
             low = low.min(middle.x);
             high = high.max(middle.x);
         }
         assert!(low < 0.505 && high > 0.575, "{low} to {high}");
+    }
+
+    /// An arm that presses on the needle, pushes it about and sweeps over it, for 20,000 steps.
+    #[test]
+    fn the_needle_is_never_pressed_through_the_pad_nor_shot_away() {
+        /// Fastest that the needle may become, m/s: ten times the instrument.
+        const FASTEST: f64 = 1.5;
+        for mode in ["paper", "cartesian"] {
+            let options = Options::new().with_text("action", mode);
+            let options = options.resolve(&NeedleReach::options()).unwrap();
+            let (mut task, prepared) = NeedleReach::new(&options).unwrap();
+            let mut actions = Rng::new(17, 0);
+            let mut action = vec![0.0; task.spec().action_dim()];
+            let (mut lowest, mut fastest, mut touched) = (f64::INFINITY, 0.0_f64, 0);
+            for episode in 0..200 {
+                let mut world = prepared.clone();
+                task.reset(&mut world, &mut Rng::new(episode, 0));
+                let laid = world.pose(task.needle.body());
+                for _ in 0..50 {
+                    for number in &mut action {
+                        *number = actions.uniform(-1.0, 1.0) as f32;
+                    }
+                    if actions.unit() < 0.7 {
+                        let needle = world.pose(task.needle.body());
+                        let parts = &Model::needle().parts;
+                        let part = parts[actions.index(parts.len())].body_from_part;
+                        let to = (needle * part).translation.vector - task.arm.tip();
+                        let down = if to.xy().norm() < 0.003 { -0.01 } else { to.z };
+                        let to = Vector3::new(to.x, to.y, down) / STEP_LENGTH;
+                        for axis in 0..3 {
+                            action[axis] = to[axis].clamp(-1.0, 1.0) as f32;
+                        }
+                    }
+                    Task::apply(&mut task, &mut world, Some(&action));
+                    let needle = world.pose(task.needle.body());
+                    let height = needle.translation.z - psm_scene::pad().max.z;
+                    let outline = Model::needle().aabb(&needle);
+                    let on_pad = psm_scene::pad().grown(-0.003).meets(&Aabb {
+                        min: Vector3::new(outline.min.x, outline.min.y, psm_scene::pad().min.z),
+                        max: outline.max,
+                    });
+                    if on_pad {
+                        lowest = lowest.min(height);
+                    }
+                    fastest = fastest.max(world.velocity(task.needle.body()).norm());
+                    assert!(world.is_finite());
+                }
+                touched += usize::from(world.pose(task.needle.body()) != laid);
+            }
+            eprintln!("{mode}: lowest {lowest}, fastest {fastest}, touched {touched}");
+            assert!(lowest > -0.5e-3, "{mode}: {lowest}");
+            assert!(fastest < FASTEST, "{mode}: {fastest}");
+            assert!(touched > 150, "{mode}: {touched}");
+        }
     }
 }

@@ -22,16 +22,17 @@
 
 use std::f64::consts::{FRAC_PI_2, PI};
 
-use nalgebra::{Point3, Quaternion, Unit, UnitQuaternion, Vector3};
+use nalgebra::{Quaternion, Unit, UnitQuaternion, Vector3};
 use trocar_proto::spec::{Element, RowSpec};
 use trocar_proto::{Options, Rejection};
 
 use super::options::{self, ActionMode, Preset, Range};
+use crate::assets::Model;
 use crate::robots::Psm;
 use crate::sim::frames::{self, Aabb, Pose};
 use crate::sim::instrument::{self, Instrument, JAW_CLOSED, JAW_OPEN, Posture, TIP_OFFSET};
 use crate::sim::random::Rng;
-use crate::sim::world::{BodyId, Motion, Part, SUBSTEPS_PER_SECOND, Shape, World};
+use crate::sim::world::{BodyId, Motion, SUBSTEPS_PER_SECOND, World};
 
 /// Simulated time of one step, s.
 pub const SECONDS_PER_STEP: f64 = 0.2;
@@ -69,87 +70,47 @@ const JOINT_STEPS: [f64; 6] = [0.06, 0.06, 0.01, STEP_ANGLE, STEP_ANGLE, STEP_AN
 
 const DEGREE: f64 = PI / 180.0;
 
-/// Height of the tray's and the pad's origin, m. Source: the original.
-const TRAY_HEIGHT: f64 = 0.6751;
-
-/// Height of the pad's top, m. Source: the original's pad, 5.2 mm thick about 3.6 mm.
-pub const PAD_TOP: f64 = TRAY_HEIGHT + 0.0036 + 0.0026;
-
-/// The pad, 101 mm × 170 mm, m. Source: the original.
-const PAD: Aabb = Aabb::new(
-    [0.55 - 0.0505, -0.085, TRAY_HEIGHT + 0.0036 - 0.0026],
-    [0.55 + 0.0505, 0.085, PAD_TOP],
-);
-
-/// Floor and walls of the tray that holds the pad, m. Source: the original's tray,
-/// 120 mm × 196 mm with walls 3 mm thick and 22 mm high.
-const TRAY: [Aabb; 5] = [
-    Aabb::new([0.49, -0.098, TRAY_HEIGHT], [0.61, 0.098, TRAY_HEIGHT + 0.000_36]),
-    Aabb::new([0.49, -0.098, TRAY_HEIGHT], [0.493, 0.098, TRAY_HEIGHT + 0.022]),
-    Aabb::new([0.607, -0.098, TRAY_HEIGHT], [0.61, 0.098, TRAY_HEIGHT + 0.022]),
-    Aabb::new([0.49, -0.098, TRAY_HEIGHT], [0.61, -0.095, TRAY_HEIGHT + 0.022]),
-    Aabb::new([0.49, 0.095, TRAY_HEIGHT], [0.61, 0.098, TRAY_HEIGHT + 0.022]),
-];
+/// Origin of the tray and of the pad in it, m. Source: the original.
+const TRAY_ORIGIN: [f64; 3] = [0.55, 0.0, 0.6751];
 
 /// Friction coefficient of all objects and furniture. Source: the original.
 const FRICTION: f64 = 1.0;
 
 /// Puts tray and pad into the world.
 pub fn insert_tray_and_pad(world: &mut World) {
-    for aabb in TRAY.iter().chain([&PAD]) {
-        let half = (aabb.max - aabb.min) * 0.5;
-        let part = Part { body_from_part: Pose::identity(), shape: Shape::Cuboid(half) };
-        world.insert(Motion::Fixed, &Pose::from(aabb.centre()), FRICTION, &[part]);
+    for model in [Model::tray(), Model::pad()] {
+        world.insert(Motion::Fixed, &scene_from_tray(), FRICTION, &model.parts);
     }
 }
 
-/// The 40 mm suture needle: a half circle of wire in the xy plane of its frame, open towards +x.
-/// Source of the form: the original.
+/// The pad on which objects lie, m.
+pub fn pad() -> Aabb {
+    Model::pad().aabb(&scene_from_tray())
+}
+
+fn scene_from_tray() -> Pose {
+    frames::pose(TRAY_ORIGIN, [0.0; 3])
+}
+
+/// The 40 mm suture needle.
 #[derive(Debug, Clone)]
 pub struct Needle {
     body: BodyId,
 }
 
 impl Needle {
-    /// Radius of the half circle, m.
-    pub const RADIUS: f64 = 0.02;
-
-    /// Radius of the wire, m.
-    pub const WIRE_RADIUS: f64 = 0.5e-3;
-
-    /// The middle of the arc in the needle's frame, m.
-    pub const MIDDLE: [f64; 3] = [-Self::RADIUS, 0.0, 0.0];
-
-    /// Density of surgical steel, kg/m³.
-    const DENSITY: f64 = 7850.0;
-
     /// Mass under `preset = "surrol"`, kg. Source: the original.
     const SURROL_MASS: f64 = 0.01;
 
-    /// Straight pieces of wire that stand for the arc: the smallest number with which jaws hold
-    /// the needle in every trial.
-    const PIECES: usize = 6;
-
     /// Puts a needle into the world.
     pub fn insert(world: &mut World, preset: Preset) -> Self {
-        let arc = PI * Self::RADIUS;
-        let wire = PI * Self::WIRE_RADIUS * Self::WIRE_RADIUS;
+        let model = Model::needle();
         let mass = match preset {
-            Preset::Paper => arc * wire * Self::DENSITY,
+            Preset::Paper => model.mass,
             Preset::Surrol => Self::SURROL_MASS,
         };
-        let parts: Vec<Part> = (0..Self::PIECES)
-            .map(|piece| Part {
-                body_from_part: Pose::identity(),
-                shape: Shape::Capsule {
-                    a: Self::arc_point(piece),
-                    b: Self::arc_point(piece + 1),
-                    radius: Self::WIRE_RADIUS,
-                },
-            })
-            .collect();
-        let at = Self::resting(PAD.centre().x, PAD.centre().y, 0.0);
-        Self { body: world.insert(Motion::Free { mass }, &at, FRICTION, &parts) }
+        let at = Self::resting(pad().centre().x, pad().centre().y, 0.0);
+        Self { body: world.insert(Motion::Free { mass }, &at, FRICTION, &model.parts) }
     }
 
     /// The body in the world.
@@ -167,12 +128,11 @@ impl Needle {
     /// in the workspace.
     pub fn lay_anywhere(&self, world: &mut World, rng: &mut Rng) {
         let yaw = rng.uniform(-FRAC_PI_2, FRAC_PI_2);
-        let turned = frames::pose([0.0; 3], [0.0, 0.0, yaw]);
-        let ends = (0..=Self::PIECES).map(|index| turned * Self::arc_point(index));
-        let outline = Aabb::around(ends).grown(Self::WIRE_RADIUS);
+        let outline = Model::needle().aabb(&frames::pose([0.0; 3], [0.0, 0.0, yaw]));
+        let pad = pad();
         let mut along = |axis: usize| {
-            let low = PAD.min[axis].max(WORKSPACE.min[axis]) - outline.min[axis];
-            rng.uniform(low, PAD.max[axis].min(WORKSPACE.max[axis]) - outline.max[axis])
+            let low = pad.min[axis].max(WORKSPACE.min[axis]) - outline.min[axis];
+            rng.uniform(low, pad.max[axis].min(WORKSPACE.max[axis]) - outline.max[axis])
         };
         let (x, y) = (along(0), along(1));
         self.lay(world, x, y, yaw);
@@ -180,17 +140,13 @@ impl Needle {
 
     /// The middle of the arc, m, scene frame.
     pub fn middle(&self, world: &World) -> Vector3<f64> {
-        (world.pose(self.body) * Point3::from(Self::MIDDLE)).coords
+        (world.pose(self.body) * Model::needle().body_from("mid_arc")).translation.vector
     }
 
+    /// Where the needle touches the pad along its whole length.
     fn resting(x: f64, y: f64, yaw: f64) -> Pose {
-        frames::pose([x, y, PAD_TOP + Self::WIRE_RADIUS], [0.0, 0.0, yaw])
-    }
-
-    /// End `index` of the straight pieces, from +y over −x to −y.
-    fn arc_point(index: usize) -> Point3<f64> {
-        let angle = FRAC_PI_2 + PI * index as f64 / Self::PIECES as f64;
-        Point3::new(Self::RADIUS * libm::cos(angle), Self::RADIUS * libm::sin(angle), 0.0)
+        let below = Model::needle().aabb(&Pose::identity()).min.z;
+        frames::pose([x, y, pad().max.z - below], [0.0, 0.0, yaw])
     }
 }
 
@@ -209,11 +165,14 @@ pub struct PaperAction {
 pub struct PsmArm {
     kinematics: Psm,
     scene_from_base: Pose,
-    start: Posture,
+    start: Pose,
+    start_joints: [f64; 6],
     mode: ActionMode,
     paper: PaperAction,
     preset: Preset,
     joint_offset: Range,
+    /// Height of what lies under the jaws, m.
+    support: f64,
     instrument: Instrument,
     /// What the joint sensors report.
     joints: [f64; 6],
@@ -239,12 +198,14 @@ impl PsmArm {
         ]
     }
 
-    /// Puts PSM1 into the world, jaws closed and straight down, the wrist at `start` (m).
+    /// Puts PSM1 into the world, jaws closed and straight down, the wrist at `start` (m), above a
+    /// surface at height `support` (m).
     pub fn insert(
         world: &mut World,
         options: &Options,
         paper: PaperAction,
         start: [f64; 3],
+        support: f64,
     ) -> Result<Self, Rejection> {
         let [x, y, z, yaw] = match options.row("setup", "base") {
             Some(&[x, y, z, yaw]) => [x, y, z, yaw],
@@ -253,19 +214,24 @@ impl PsmArm {
         let table = options.row("setup", "table_height").map_or(TABLE_HEIGHT, |row| row[0]);
         let scene_from_base = frames::pose([x, y, z - (table - TABLE_HEIGHT)], [0.0, 0.0, yaw])
             * Pose::from(Vector3::from(BASE_FROM_RCM));
-        let start = Posture { world_from_wrist: straight_down(start), jaw: JAW_CLOSED };
+        let start = straight_down(start);
         let mut arm = Self {
             kinematics: Psm::CLASSIC,
             scene_from_base,
             start,
+            start_joints: [0.0; 6],
             mode: options::action_of(options),
             paper,
             preset: options::preset_of(options),
             joint_offset: options::Domain::of(options)?.joint_offset,
-            instrument: Instrument::insert(world, start),
+            support,
+            instrument: Instrument::insert(
+                world,
+                Posture { world_from_wrist: start, jaw: JAW_CLOSED },
+            ),
             joints: [0.0, 0.0, 0.1, 0.0, 0.0, 0.0],
             offsets: [0.0; 6],
-            scene_from_wrist: start.world_from_wrist,
+            scene_from_wrist: start,
         };
         for corner in REACH.corners() {
             let target = arm.confined(straight_down(corner.coords.into()));
@@ -274,8 +240,8 @@ impl PsmArm {
                 return Err(options::refuse_setup(options, why));
             }
         }
-        arm.joints = arm
-            .solve(&start.world_from_wrist)
+        arm.start_joints = arm
+            .solve(&start)
             .ok_or_else(|| options::refuse_setup(options, "the arm must reach its start"))?;
         Ok(arm)
     }
@@ -285,8 +251,8 @@ impl PsmArm {
         for joint in [0, 1, 3, 4, 5] {
             self.offsets[joint] = self.joint_offset.draw(rng);
         }
-        self.joints = self.solve(&self.start.world_from_wrist).expect("reached when it was made");
-        self.scene_from_wrist = self.start.world_from_wrist;
+        self.joints = self.start_joints;
+        self.scene_from_wrist = self.start;
         let world_from_wrist = self.true_pose(&self.joints);
         self.instrument.place(Posture { world_from_wrist, jaw: JAW_CLOSED });
     }
@@ -441,7 +407,7 @@ impl PsmArm {
         let wrist = REACH.clamp(&target.translation.vector);
         let tip = wrist + jaws;
         let inside = REACH.clamp(&tip) - tip;
-        let lowest = PAD_TOP + instrument::CLEARANCE;
+        let lowest = self.support + instrument::CLEARANCE;
         let height = wrist.z.max(lowest + instrument::depth_below_wrist(&target.rotation));
         target.translation.vector = Vector3::new(wrist.x + inside.x, wrist.y + inside.y, height);
         target
@@ -464,7 +430,7 @@ impl PsmArm {
         loop {
             let pose = self.true_pose(&joints);
             let low = pose.translation.z - instrument::depth_below_wrist(&pose.rotation);
-            let missing = PAD_TOP + instrument::CLEARANCE - low;
+            let missing = self.support + instrument::CLEARANCE - low;
             if missing <= ROUNDING {
                 return Some(joints);
             }
@@ -526,7 +492,7 @@ mod tests {
         let mut world = World::new(Solver::LIGHT);
         let paper = PaperAction { turns: true, jaw: true };
         let start = [WORKSPACE.min.x, WORKSPACE.max.y, WORKSPACE.max.z + TIP_OFFSET];
-        let mut arm = PsmArm::insert(&mut world, options, paper, start).unwrap();
+        let mut arm = PsmArm::insert(&mut world, options, paper, start, pad().max.z).unwrap();
         arm.reset(&mut Rng::new(0, 0));
         (world, arm)
     }
@@ -590,17 +556,17 @@ mod tests {
                 let pose = arm.instrument.posture().world_from_wrist;
                 let low = pose.translation.z - instrument::depth_below_wrist(&pose.rotation);
                 lowest = lowest.min(low);
-                assert!(low > PAD_TOP + instrument::CLEARANCE - 1e-7, "{mode}: {low}");
+                assert!(low > pad().max.z + instrument::CLEARANCE - 1e-7, "{mode}: {low}");
                 assert!((arm.tip() - before).norm() < 0.05, "{mode}: a jump");
                 let limits = arm.kinematics.limits();
                 assert!(arm.joints.iter().zip(limits).all(|(q, l)| l.min <= *q && *q <= l.max));
             }
-            assert!(lowest < PAD_TOP + 1e-3, "{mode}: never came down, {lowest}");
+            assert!(lowest < pad().max.z + 1e-3, "{mode}: never came down, {lowest}");
         }
     }
 
     #[test]
-    fn the_needle_weighs_what_steel_weighs_and_stays_where_it_is_laid() {
+    fn a_needle_lies_on_pad_and_workspace_and_stays_where_it_is_laid() {
         let mut world = World::new(Solver::LIGHT);
         insert_tray_and_pad(&mut world);
         let needle = Needle::insert(&mut world, Preset::Paper);
@@ -614,14 +580,12 @@ mod tests {
             }
             let moved = world.pose(needle.body()).translation.vector - laid.translation.vector;
             assert!(moved.norm() < 0.02e-3, "{moved}");
-            for index in 0..=Needle::PIECES {
-                let point = laid * Needle::arc_point(index);
-                let wire = Aabb::around([point]).grown(Needle::WIRE_RADIUS - 1e-6);
-                assert!(wire.corners().all(|corner| {
-                    let below = Vector3::new(corner.x, corner.y, WORKSPACE.min.z + 1e-3);
-                    WORKSPACE.clamp(&below) == below && (PAD.clamp(&corner.coords) - corner.coords).xy().norm() == 0.0
-                }));
-            }
+            let outline = Model::needle().aabb(&laid);
+            let inside = |area: &Aabb, axis: usize| {
+                area.min[axis] - 1e-9 <= outline.min[axis]
+                    && outline.max[axis] <= area.max[axis] + 1e-9
+            };
+            assert!((0..2).all(|axis| inside(&WORKSPACE, axis) && inside(&pad(), axis)));
         }
     }
 }
