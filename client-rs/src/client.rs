@@ -51,7 +51,7 @@ impl Client {
             return Err(ConnectError::NoServer { name: name.to_string() });
         }
         let membership = endpoint.join().map_err(shared_memory)?;
-        Self::over(membership, language)
+        Self::over(&membership, language)
     }
 
     /// Connects to a private server, which is started where it does not run.
@@ -59,10 +59,10 @@ impl Client {
     pub fn launch(server: &private::PrivateServer, language: &str) -> Result<Self, ConnectError> {
         let membership = server.endpoint().join().map_err(shared_memory)?;
         server.start_if_absent(&membership)?;
-        Self::over(membership, language)
+        Self::over(&membership, language)
     }
 
-    fn over(membership: Membership, language: &str) -> Result<Self, ConnectError> {
+    fn over(membership: &Membership, language: &str) -> Result<Self, ConnectError> {
         let name = membership.endpoint().name().to_string();
         let start = Instant::now();
         let mut pause = Duration::from_millis(1);
@@ -170,6 +170,7 @@ pub(crate) fn unexpected(reply: &ControlReply) -> CallError {
     CallError::Malformed(format!("version {PROTOCOL_VERSION} does not expect {reply:?} here"))
 }
 
+#[allow(clippy::needless_pass_by_value)] // for map_err
 fn shared_memory(error: std::io::Error) -> ConnectError {
     ConnectError::Transport(error.to_string())
 }

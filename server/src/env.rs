@@ -82,6 +82,9 @@ struct Noise {
 }
 
 impl Env {
+    /// Memory that an environment is counted with, bytes: an upper bound over the tasks.
+    pub const MEMORY_BYTES: u64 = 192 << 10;
+
     /// An environment of `task`, which prepared `world`; it needs a reset.
     pub(crate) fn new(task: Box<dyn AnyTask>, world: World, domain: Domain) -> Self {
         let spec = task.spec();
@@ -133,6 +136,16 @@ impl Env {
         self.look();
     }
 
+    /// Sets the seed whose first episode the next reset without a seed begins.
+    pub fn set_seed(&mut self, seed: u64) {
+        (self.seed, self.episode, self.state) = (seed, 0, State::New);
+    }
+
+    /// Whether an episode was ever begun.
+    pub fn was_reset(&self) -> bool {
+        self.state != State::New
+    }
+
     /// Seed of the episode.
     pub fn seed(&self) -> u64 {
         self.seed
@@ -177,6 +190,11 @@ impl Env {
         };
         if let Some(what) = failure {
             self.state = State::Over;
+            // What is shown stays finite: nobody's statistics are lost to one environment.
+            let shown = self.observation.iter_mut().chain(&mut self.achieved);
+            for number in shown.chain(&mut self.desired).filter(|number| !number.is_finite()) {
+                *number = 0.0;
+            }
             return Err(StepError::Simulation { what, step: self.steps });
         }
 
@@ -195,7 +213,8 @@ impl Env {
         Ok(Step { reward, terminated, truncated, is_success })
     }
 
-    /// Writes the present observation and goals, of the specification's dimensions.
+    /// Writes the present observation and goals, of the specification's dimensions. After a
+    /// failure of the simulation, what is not finite reads 0.
     pub fn observe(&self, observation: &mut [f32], achieved: &mut [f32], desired: &mut [f32]) {
         observation.copy_from_slice(&self.observation);
         achieved.copy_from_slice(&self.achieved);

@@ -8,6 +8,7 @@
 //! | [`tasks`] | what is learnt: one file per task, and the registry that lists them |
 //! | [`env`] | one environment: a task in its world, episode by episode |
 //! | [`error`] | why an environment could not be stepped |
+//! | [`service`] | hosting: sessions of many clients over shared memory |
 //!
 //! Nothing here but hosting knows of clients: an [`Env`] runs wherever it is made.
 
@@ -15,6 +16,7 @@ pub mod assets;
 pub mod env;
 pub mod error;
 pub mod robots;
+pub mod service;
 pub mod sim;
 pub mod tasks;
 

@@ -96,7 +96,7 @@ mod tests {
         assert!(parse_bytes("GiB").is_err());
         assert!(parse_bytes("99999999999999999GiB").is_err());
         assert_eq!(parse_duration("90s"), Ok(Duration::from_secs(90)));
-        assert_eq!(parse_duration("1h"), Ok(Duration::from_secs(3600)));
+        assert_eq!(parse_duration("1h"), Ok(Duration::from_hours(1)));
         assert!(parse_duration("1 day").is_err());
     }
 }

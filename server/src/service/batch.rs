@@ -8,11 +8,11 @@ use trocar_proto::{Code, Rejection, TaskSpec};
 
 use super::rows::Rows;
 use super::scheduler::{Divisible, Scheduler};
-use crate::env::{Env, StepError};
+use crate::env::Env;
+use crate::error::StepError;
 use crate::tasks::Registry;
 
 /// N environments of one task.
-#[derive(Debug)]
 pub(crate) struct Batch {
     envs: Vec<Env>,
     spec: Arc<TaskSpec>,
@@ -210,7 +210,7 @@ fn step(env: &mut Env, action: &[f32], autoreset: Autoreset, rows: &mut Rows<'_>
         // The actions were checked and the episode runs, so only the simulation can have failed:
         // the episode ends for a reason outside of the task.
         Err(error) => {
-            debug_assert!(matches!(error, StepError::Simulation(_)));
+            debug_assert!(matches!(error, StepError::Simulation { .. }));
             tracing::warn!(%error, seed = env.seed(), episode = env.episode(), "simulation failed");
             write_transition(rows, row, 0.0, false, true, false, Code::Simulation as u8);
         }

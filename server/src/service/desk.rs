@@ -44,7 +44,7 @@ pub enum Answer {
 }
 
 /// Judges control messages.
-#[derive(Debug, Clone)]
+#[derive(Clone)]
 pub struct Desk {
     registry: Arc<Registry>,
     info: ServerInfo,

@@ -67,7 +67,7 @@ impl ServerConfig {
             threads: std::thread::available_parallelism().map_or(1, usize::from),
             max_envs: 4096,
             memory_bytes: 1 << 30,
-            idle_limit: Duration::from_secs(3600),
+            idle_limit: Duration::from_hours(1),
             private: None,
         }
     }

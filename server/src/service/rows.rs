@@ -30,7 +30,7 @@ pub(crate) struct Columns<'a, T> {
     width: usize,
 }
 
-impl<'a, T> Columns<'a, T> {
+impl<T> Columns<'_, T> {
     /// Row `row`.
     pub(crate) fn row(&mut self, row: usize) -> &mut [T] {
         &mut self.cells[row * self.width..(row + 1) * self.width]

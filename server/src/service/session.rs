@@ -36,7 +36,6 @@ const OFFER: Duration = Duration::from_micros(20);
 type Port = ServerPort<Transport, [u8], Header, [u8], Header>;
 
 /// What all sessions of a server share.
-#[derive(Debug)]
 pub(super) struct Ground {
     pub(super) registry: Arc<Registry>,
     pub(super) scheduler: Scheduler,

@@ -311,8 +311,7 @@ mod tests {
 
     #[test]
     fn motion_is_smooth() {
-        let speeds: Vec<f64> =
-            (0..48).map(|i| smoothstep(i + 1, 48) - smoothstep(i, 48)).collect();
+        let speeds: Vec<f64> = (0..48).map(|i| smoothstep(i + 1, 48) - smoothstep(i, 48)).collect();
         assert!(speeds[0] < 0.1 / 48.0 * 2.0 && speeds[47] < 0.1 / 48.0 * 2.0);
         let jump = speeds.windows(2).map(|pair| (pair[1] - pair[0]).abs()).fold(0.0, f64::max);
         assert!(jump < 0.15 / 48.0);

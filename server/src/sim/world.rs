@@ -4,12 +4,12 @@
 //! forces scale with it, so the motion is the real one; every number in this interface is SI.
 
 use nalgebra::{Point3, Vector3};
-use rapier3d::prelude::{
-    BroadPhaseBvh, CCDSolver, ColliderBuilder, ColliderHandle, ColliderSet, FrictionModel, ImpulseJointSet,
-    IntegrationParameters, IslandManager, MultibodyJointSet, NarrowPhase, PhysicsPipeline,
-    RigidBodyBuilder, RigidBodyHandle, RigidBodySet, SoftBodySet,
-};
 use rapier3d::dynamics::SpringCoefficients;
+use rapier3d::prelude::{
+    BroadPhaseBvh, CCDSolver, ColliderBuilder, ColliderHandle, ColliderSet, FrictionModel,
+    ImpulseJointSet, IntegrationParameters, IslandManager, MultibodyJointSet, NarrowPhase,
+    PhysicsPipeline, RigidBodyBuilder, RigidBodyHandle, RigidBodySet, SoftBodySet,
+};
 
 use super::frames::{self, Aabb, Pose, SCALE};
 
@@ -330,7 +330,9 @@ impl World {
         let body = self.colliders[part].parent().expect("every collider belongs to a body");
         let parts = self.bodies[body].colliders().iter();
         let pairs = parts.flat_map(|part| self.narrow_phase.contact_pairs_with(*part));
-        let contacts = pairs.flat_map(|pair| pair.manifolds()).flat_map(|each| &each.points);
+        let contacts = pairs
+            .flat_map(rapier3d::geometry::ContactPair::manifolds)
+            .flat_map(|each| &each.points);
         contacts.fold(0.0, |deepest, contact| deepest.max(-f64::from(contact.dist) / SCALE))
     }
 

@@ -323,18 +323,15 @@ impl PsmArm {
         let jaw = if self.paper.jaw { "jaw" } else { "ignored (jaw)" };
         let (frame, mut names) = match self.mode {
             ActionMode::Paper => ("scene", vec!["dx", "dy", "dz", turn]),
-            ActionMode::Cartesian => (
-                "scene",
-                vec!["dx", "dy", "dz", "rotation x", "rotation y", "rotation z"],
-            ),
-            ActionMode::CartesianAbs => (
-                "scene",
-                vec!["x", "y", "z", "rotation x", "rotation y", "rotation z"],
-            ),
-            ActionMode::Joint => (
-                "joint",
-                vec!["yaw", "pitch", "insertion", "roll", "wrist pitch", "wrist yaw"],
-            ),
+            ActionMode::Cartesian => {
+                ("scene", vec!["dx", "dy", "dz", "rotation x", "rotation y", "rotation z"])
+            }
+            ActionMode::CartesianAbs => {
+                ("scene", vec!["x", "y", "z", "rotation x", "rotation y", "rotation z"])
+            }
+            ActionMode::Joint => {
+                ("joint", vec!["yaw", "pitch", "insertion", "roll", "wrist pitch", "wrist yaw"])
+            }
         };
         names.push(jaw);
         names.iter().map(|name| options::action_element(name, frame)).collect()
@@ -368,7 +365,8 @@ impl PsmArm {
     fn decode(&self, action: &[f32]) -> (Pose, f64) {
         let now = &self.scene_from_wrist;
         let number = |index: usize| f64::from(action[index]);
-        let vector = |first: usize| Vector3::new(number(first), number(first + 1), number(first + 2));
+        let vector =
+            |first: usize| Vector3::new(number(first), number(first + 1), number(first + 2));
         let graded = JAW_CLOSED + (JAW_OPEN - JAW_CLOSED) * 0.5 * (number(action.len() - 1) + 1.0);
         let (target, jaw) = match self.mode {
             ActionMode::Paper => {
@@ -508,9 +506,7 @@ mod tests {
         let mut seen = [0.0; PsmArm::OBSERVED];
         arm.observe(&mut seen);
         let quarter = std::f32::consts::FRAC_PI_2;
-        for (found, expected) in
-            seen.iter().zip([0.5, 0.05, 0.7552, -quarter, 0.0, quarter, 0.0])
-        {
+        for (found, expected) in seen.iter().zip([0.5, 0.05, 0.7552, -quarter, 0.0, quarter, 0.0]) {
             assert!((found - expected).abs() < 1e-6, "{seen:?}");
         }
     }
