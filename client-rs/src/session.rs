@@ -180,7 +180,22 @@ impl Session {
             env_ids,
             info: Arc::clone(&self.info),
             layout: Arc::clone(&self.reply_layout),
+            _link: Arc::clone(port.link()),
         }))
+    }
+
+    /// Sends any header and payload as a request of this session and waits for the reply, for
+    /// tests of the server's defences.
+    #[doc(hidden)]
+    pub fn call_raw(
+        &mut self,
+        header: Header,
+        fill: impl FnOnce(&mut [u8]),
+    ) -> Result<Reply, CallError> {
+        let pending = Owned::new(self.port.get()?.send(header, fill)?);
+        let env_ids = EnvIds::All(header.rows.min(self.info.envs));
+        self.in_flight.push_back(InFlight { pending, env_ids, abandoned: false });
+        self.recv()
     }
 
     /// Gives up on the replies of all requests in flight (after an interrupted wait). They are
@@ -262,6 +277,7 @@ impl Drop for Session {
             let (session, node) = (self.info.session, port.link().node_id());
             // Where the server is gone, so is the session.
             port.link().call(&ControlRequest::CloseSession { session, node }).ok();
+            port.wake().ok();
         }
     }
 }
@@ -282,6 +298,8 @@ pub struct Reply {
     env_ids: EnvIds,
     info: Arc<SessionInfo>,
     layout: Arc<ReplyLayout>,
+    /// Dropped last: as long as shared memory is used, nobody may remove it.
+    _link: Arc<Owned<Link>>,
 }
 
 impl Reply {
