@@ -25,13 +25,16 @@ mod session;
 use std::io;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
-use trocar_proto::endpoint::{Endpoint, ServerName};
+use trocar_proto::endpoint::{Endpoint, Membership, ServerLock, ServerName, ServerState};
 
 use crate::tasks::Registry;
 
-pub use desk::{Answer, Desk};
+pub use desk::{Answer, Desk, Footprint};
+
+/// How long a server that is ending may take before its name is said to be in use.
+const ENDING: Duration = Duration::from_secs(10);
 
 /// How a server is set up. [`Self::new`] gives the defaults.
 #[derive(Debug, Clone)]
@@ -136,20 +139,31 @@ pub fn serve(
         |source| ServeError::Folder { path: endpoint.folder().display().to_string(), source };
     let epoch = new_epoch();
     let membership = endpoint.join().map_err(folder)?;
-    let lock = membership
-        .become_server(epoch)
-        .map_err(folder)?
-        .map_err(|pid| ServeError::NameInUse { name: config.name.to_string(), pid })?;
+    let lock = take_lock(&membership, epoch).map_err(folder)?;
+    let lock = lock.map_err(|pid| ServeError::NameInUse { name: config.name.to_string(), pid })?;
     let node = Arc::new(membership.node().map_err(transport("node"))?);
     // A predecessor may have died while its clients live: what it left goes first.
     node.try_cleanup_dead_nodes();
-    let served = control::run(Arc::new(registry), config, epoch, &node, stop, ready);
+    let served = control::run(Arc::new(registry), config, &lock, &node, stop, ready);
     node.try_cleanup_dead_nodes();
     drop(node);
-    lock.close().map_err(folder)?;
+    drop(lock);
     // The last one out removes the folder: this server, or a client that is still there.
     drop(membership);
     served
+}
+
+/// Takes the single-instance lock; waits for a predecessor that is just ending.
+fn take_lock(membership: &Membership, epoch: u64) -> io::Result<Result<ServerLock, u32>> {
+    let start = Instant::now();
+    loop {
+        let taken = membership.become_server(epoch)?;
+        let ending = matches!(membership.endpoint().server_state(), ServerState::Closed { .. });
+        if taken.is_ok() || !ending || start.elapsed() > ENDING {
+            return Ok(taken);
+        }
+        std::thread::sleep(Duration::from_millis(5));
+    }
 }
 
 /// A number that tells this run of the server from every other: nanoseconds since 1970.

@@ -21,7 +21,7 @@ use trocar_proto::{Code, Rejection};
 
 use super::batch::{Batch, Deed};
 use super::control::{RawRequest, reply};
-use super::desk;
+use super::desk::{self, Footprint};
 use super::rows::Rows;
 use super::scheduler::Scheduler;
 use crate::tasks::Registry;
@@ -49,7 +49,7 @@ pub(super) struct Ground {
 pub(super) struct SessionHandle {
     shared: Arc<Shared>,
     thread: JoinHandle<()>,
-    bytes: u64,
+    footprint: Footprint,
 }
 
 #[derive(Debug)]
@@ -79,7 +79,7 @@ pub(super) fn open(
     id: u64,
     wanted: SessionRequest,
     client: ClientInfo,
-    bytes: u64,
+    footprint: Footprint,
     request: RawRequest,
 ) -> Option<SessionHandle> {
     let shared = Arc::new(Shared {
@@ -106,7 +106,7 @@ pub(super) fn open(
         }
     });
     match thread {
-        Ok(thread) => Some(SessionHandle { shared, thread, bytes }),
+        Ok(thread) => Some(SessionHandle { shared, thread, footprint }),
         Err(error) => {
             let refusal = internal("thread")(error);
             if let Some((_, request)) = parcel.lock().unwrap_or_else(PoisonError::into_inner).take()
@@ -123,8 +123,8 @@ impl SessionHandle {
         &self.shared.client
     }
 
-    pub(super) fn bytes(&self) -> u64 {
-        self.bytes
+    pub(super) fn footprint(&self) -> Footprint {
+        self.footprint
     }
 
     /// Asks the session to end.
