@@ -372,8 +372,11 @@ fn read_words(file: &File) -> [u64; 3] {
     }
 }
 
-/// Name of the control service and of the event service that announces control messages.
-pub const CONTROL_SERVICE: &str = "control";
+/// Name of the control service and of the event service that announces control messages. Every
+/// run of the server has its own: clients of a run that died may hold on to theirs.
+pub fn control_service(epoch: u64) -> String {
+    format!("control/{epoch:016x}")
+}
 
 /// Name of a session's data service.
 pub fn data_service(epoch: u64, session: u64) -> String {

@@ -10,7 +10,7 @@ use iceoryx2::port::listener::{Listener, ListenerWaitError};
 use iceoryx2::port::server::Server as ServerPort;
 use iceoryx2::prelude::ServiceName;
 use trocar_proto::control::{self, ControlReply, MAX_MESSAGE, ServerStatus};
-use trocar_proto::endpoint::{CONTROL_SERVICE, MAX_CLIENTS, Node, ServerLock, Transport};
+use trocar_proto::endpoint::{MAX_CLIENTS, Node, ServerLock, Transport, control_service};
 use trocar_proto::wire::Header;
 use trocar_proto::{Code, Rejection};
 
@@ -35,8 +35,8 @@ pub(super) fn run(
     stop: &StopSignal,
     ready: impl FnOnce(),
 ) -> Result<(), ServeError> {
-    let (port, bell) = open_ports(node)?;
     let epoch = lock.epoch();
+    let (port, bell) = open_ports(node, epoch)?;
     let scheduler =
         Scheduler::new(config.threads).map_err(|error| ServeError::Threads(error.to_string()))?;
     let mut host = Host {
@@ -86,9 +86,11 @@ pub(super) fn run(
     Ok(())
 }
 
-fn open_ports(node: &Node) -> Result<(Port, Listener<Transport>), ServeError> {
-    let name: ServiceName =
-        CONTROL_SERVICE.try_into().expect("the name of the control service is short");
+fn open_ports(node: &Node, epoch: u64) -> Result<(Port, Listener<Transport>), ServeError> {
+    let name: ServiceName = control_service(epoch)
+        .as_str()
+        .try_into()
+        .expect("the name of the control service is short");
     let service = node
         .service_builder(&name)
         .request_response::<[u8], [u8]>()
