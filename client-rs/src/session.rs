@@ -21,6 +21,8 @@ pub struct Session {
     reply_layout: Arc<ReplyLayout>,
     want_expert: bool,
     requests: u64,
+    /// A request was not answered, and none will be.
+    ended: bool,
 }
 
 /// A request that was not answered yet. Declared order is drop order.
@@ -64,6 +66,7 @@ impl Session {
             reply_layout,
             want_expert: false,
             requests: 0,
+            ended: false,
         })
     }
 
@@ -165,7 +168,17 @@ impl Session {
     pub fn poll(&mut self, patience: Duration) -> Result<Option<Reply>, CallError> {
         let port = self.port.get()?;
         let Some(oldest) = self.in_flight.front() else { return Err(CallError::NothingInFlight) };
-        let Some(raw) = port.receive(&oldest.pending, patience)? else { return Ok(None) };
+        let raw = match port.receive(&oldest.pending, patience) {
+            Ok(Some(raw)) => raw,
+            Ok(None) => return Ok(None),
+            // It is still to be had, once others were dropped.
+            Err(CallError::TooManyHeld) => return Err(CallError::TooManyHeld),
+            Err(error) => {
+                self.in_flight.clear();
+                self.ended = true;
+                return Err(error);
+            }
+        };
         let InFlight { pending, env_ids, .. } =
             self.in_flight.pop_front().expect("the oldest is there");
         drop(pending);
@@ -225,8 +238,12 @@ impl Session {
         env_ids: EnvIds,
         fill: impl FnOnce(&mut [u8], usize),
     ) -> Result<(), CallError> {
-        self.port.get()?;
         while !self.settle(SLICE)? {}
+        let port = self.port.get()?;
+        // Where nobody takes requests any more, sending them would come to wait for ever.
+        if self.ended {
+            return Err(port.why_unanswered());
+        }
         if self.in_flight.len() == MAX_IN_FLIGHT {
             return Err(CallError::TooManyInFlight);
         }
@@ -241,7 +258,7 @@ impl Session {
             ..Header::new(kind)
         };
         let region = self.request_layout.env_ids;
-        let pending = self.port.send(header, |payload| {
+        let pending = port.send(header, |payload| {
             let ids = region.view_mut::<u32>(payload, rows);
             match &env_ids {
                 EnvIds::All(count) => ids.iter_mut().zip(0..*count).for_each(|(id, i)| *id = i),

@@ -97,7 +97,7 @@ impl Link {
     /// Opens the control port of the run `epoch` of the server.
     pub(crate) fn open(membership: Membership, epoch: u64) -> Result<Self, CallError> {
         let node = membership.node().map_err(transport("node"))?;
-        let name = service_name(endpoint::CONTROL_SERVICE);
+        let name = service_name(&endpoint::control_service(epoch));
         let service = node
             .service_builder(&name)
             .request_response::<[u8], [u8]>()
@@ -146,6 +146,8 @@ impl Link {
 
     /// Sends any header and bytes as a control request; the tests send broken ones.
     pub(crate) fn call_raw(&self, header: Header, bytes: &[u8]) -> Result<ControlReply, CallError> {
+        // A server that is gone takes no requests, and sending them would come to wait for ever.
+        self.check_server()?;
         let control = self.control.lock().unwrap_or_else(PoisonError::into_inner);
         let mut request =
             control.loan_slice(bytes.len().max(1)).map_err(transport("control request"))?;
@@ -289,7 +291,7 @@ impl DataPort {
     }
 
     /// What to say where the server let go of a request that it did not answer.
-    fn why_unanswered(&self) -> CallError {
+    pub(crate) fn why_unanswered(&self) -> CallError {
         let closed = || {
             Rejection::new(
                 Code::UnknownSession,
