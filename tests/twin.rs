@@ -126,10 +126,13 @@ pub(crate) fn digest() -> String {
 /// A client that steps without a pause, and finds every bit as its twin does.
 pub(crate) struct Bystander {
     stop: Arc<AtomicBool>,
-    thread: JoinHandle<usize>,
+    thread: JoinHandle<()>,
 }
 
 impl Bystander {
+    /// Steps that it takes at least, however soon it is to finish.
+    const LEAST: usize = 20;
+
     /// A client of `server` on a thread of its own.
     pub(crate) fn start(server: &Server) -> Self {
         let request = SessionRequest::new("NeedleReach-v0").envs(3).seed(77);
@@ -142,13 +145,12 @@ impl Bystander {
             let mut rows = Row::all(&session.reset().unwrap(), Autoreset::NextStep);
             assert_eq!(rows, twin.reset(&all, None));
             let mut steps = 0;
-            while !stopped.load(Ordering::Acquire) {
+            while steps < Self::LEAST || !stopped.load(Ordering::Acquire) {
                 let actions = act(&mut policies, &rows);
                 rows = Row::all(&session.step(&actions).unwrap(), Autoreset::NextStep);
                 assert_eq!(rows, twin.step(&all, &actions).unwrap(), "after {steps} steps");
                 steps += 1;
             }
-            steps
         });
         Self { stop, thread }
     }
@@ -156,7 +158,6 @@ impl Bystander {
     /// Ends it; fails where it found anything amiss.
     pub(crate) fn finish(self) {
         self.stop.store(true, Ordering::Release);
-        let steps = self.thread.join().expect("the bystander saw its twin's bits");
-        assert!(steps > 0);
+        self.thread.join().expect("the bystander saw its twin's bits");
     }
 }
