@@ -264,9 +264,9 @@ impl Session {
 impl Drop for Session {
     fn drop(&mut self) {
         if let Ok(port) = self.port.get() {
-            let request = ControlRequest::CloseSession { session: self.info.session };
+            let (session, node) = (self.info.session, port.link().node_id());
             // Where the server is gone, so is the session.
-            port.link().call(&request).ok();
+            port.link().call(&ControlRequest::CloseSession { session, node }).ok();
         }
     }
 }

@@ -11,14 +11,14 @@ use std::time::{Duration, Instant};
 use iceoryx2::pending_response::PendingResponse;
 use iceoryx2::port::ReceiveError;
 use iceoryx2::port::client::Client as ClientPort;
-use iceoryx2::port::listener::Listener;
+use iceoryx2::port::listener::{Listener, ListenerWaitError};
 use iceoryx2::port::notifier::Notifier;
 use iceoryx2::prelude::{Alignment, EventId, ServiceName};
 use iceoryx2::response::Response;
-use trocar_proto::Rejection;
 use trocar_proto::control::{self, ControlReply, ControlRequest, MAX_MESSAGE, SessionInfo};
 use trocar_proto::endpoint::{self, Membership, Node, ServerState, Transport};
 use trocar_proto::wire::{ALIGNMENT, Header};
+use trocar_proto::{Code, Rejection};
 
 use crate::error::CallError;
 
@@ -88,21 +88,8 @@ pub(crate) struct Link {
     control: Port,
     bell: Notifier<Transport>,
     node: Node,
-    endpoint: Leaving,
+    membership: Membership,
     epoch: u64,
-}
-
-/// Leaves the endpoint when dropped, removing everything if nobody else is there.
-#[derive(Debug)]
-struct Leaving(Option<Membership>);
-
-impl Drop for Leaving {
-    fn drop(&mut self) {
-        if let Some(membership) = self.0.take() {
-            // What cannot be removed now, the next one to come or go removes.
-            membership.remove_if_alone().ok();
-        }
-    }
 }
 
 impl Link {
@@ -125,7 +112,7 @@ impl Link {
         let event =
             node.service_builder(&name).event().open().map_err(transport("control bell"))?;
         let bell = event.notifier_builder().create().map_err(transport("control bell port"))?;
-        Ok(Self { control, bell, node, endpoint: Leaving(Some(membership)), epoch })
+        Ok(Self { control, bell, node, membership, epoch })
     }
 
     /// The number that names this participant to the server.
@@ -135,7 +122,7 @@ impl Link {
 
     /// An error if the server that this client connected to is gone.
     pub(crate) fn check_server(&self) -> Result<(), CallError> {
-        let endpoint = self.endpoint.0.as_ref().expect("present until dropped").endpoint();
+        let endpoint = self.membership.endpoint();
         let closed = match endpoint.server_state() {
             ServerState::Running { epoch, .. } if epoch == self.epoch => return Ok(()),
             ServerState::Closed { epoch } => epoch == self.epoch,
@@ -163,6 +150,10 @@ impl Link {
         request.payload_mut()[..bytes.len()].copy_from_slice(bytes);
         *request.user_header_mut() = header;
         let pending = request.send().map_err(transport("control request"))?;
+        if pending.number_of_server_connections() == 0 {
+            self.check_server()?;
+            return Err(CallError::Transport("the server is not there yet".into()));
+        }
         ring(&self.bell)?;
         let start = Instant::now();
         let mut checked = start;
@@ -191,6 +182,7 @@ pub(crate) struct DataPort {
     bell: Notifier<Transport>,
     reply_bell: Listener<Transport>,
     request_bytes: usize,
+    session: u64,
     link: Arc<Owned<Link>>,
 }
 
@@ -228,6 +220,7 @@ impl DataPort {
             bell: request_bell.notifier_builder().create().map_err(transport("request bell"))?,
             reply_bell: reply_bell.listener_builder().create().map_err(transport("reply bell"))?,
             request_bytes,
+            session,
             link,
         })
     }
@@ -265,18 +258,33 @@ impl DataPort {
             if left.is_zero() {
                 return Ok(None);
             }
-            let rung = self
-                .reply_bell
-                .timed_wait(|_| {}, left.min(SLICE))
-                .map_err(transport("reply bell"))?;
-            if rung == 0 {
-                self.link.check_server()?;
+            match self.reply_bell.timed_wait(|_| {}, left.min(SLICE)) {
+                Ok(0) => self.check_session(pending)?,
+                Ok(_) => {}
+                // The caller may want to act on the signal.
+                Err(ListenerWaitError::InterruptSignal) => return Ok(None),
+                Err(error) => return Err(transport("reply bell")(error)),
             }
         }
     }
 
     pub(crate) fn link(&self) -> &Link {
         &self.link
+    }
+
+    /// An error if the server is gone, or has closed the session.
+    fn check_session(&self, pending: &RawPending) -> Result<(), CallError> {
+        self.link.check_server()?;
+        if pending.number_of_server_connections() > 0 && pending.is_connected() {
+            return Ok(());
+        }
+        Err(Rejection::new(
+            Code::UnknownSession,
+            "session",
+            self.session,
+            "the server has closed it (serve --idle-limit); open another",
+        )
+        .into())
     }
 }
 

@@ -34,6 +34,8 @@ pub enum ControlRequest {
     CloseSession {
         /// Which.
         session: u64,
+        /// The client's transport node, as it introduced itself.
+        node: u128,
     },
     /// Asks who is connected and how fast it runs.
     Status,

@@ -149,7 +149,7 @@ impl Endpoint {
     /// Removes all that is left under this name, unless somebody uses it. Returns whether it did.
     pub fn remove_if_unused(&self) -> io::Result<bool> {
         match self.open_folder()? {
-            Some(membership) => membership.remove_if_alone(),
+            Some(membership) => membership.leave(),
             None => Ok(true),
         }
     }
@@ -177,7 +177,9 @@ impl Endpoint {
 
     fn open_folder(&self) -> io::Result<Option<Membership>> {
         match File::open(&self.folder) {
-            Ok(lock) => Ok(Some(Membership { endpoint: self.clone(), lock })),
+            Ok(lock) => {
+                Ok(Some(Membership { endpoint: self.clone(), lock, process: std::process::id() }))
+            }
             Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(None),
             Err(error) => Err(error),
         }
@@ -203,10 +205,13 @@ fn folder_prefix() -> String {
 }
 
 /// A shared lock on an endpoint's folder: as long as it is held, nobody removes the folder.
+/// Whoever drops the last one removes it; so drop it after everything that uses shared memory.
 #[derive(Debug)]
 pub struct Membership {
     endpoint: Endpoint,
     lock: File,
+    /// A forked child has a copy of this value, and of the lock, that are not its own.
+    process: u32,
 }
 
 impl Membership {
@@ -257,9 +262,11 @@ impl Membership {
         config
     }
 
-    /// Leaves the endpoint and, where nobody else is there, removes all of it.
-    pub fn remove_if_alone(self) -> io::Result<bool> {
-        if flock(&self.lock, FlockOperation::NonBlockingLockExclusive).is_err() {
+    /// Removes everything if nobody else is there; returns whether it did.
+    fn leave(&self) -> io::Result<bool> {
+        if self.process != std::process::id()
+            || flock(&self.lock, FlockOperation::NonBlockingLockExclusive).is_err()
+        {
             return Ok(false);
         }
         if self.is_current() {
@@ -274,6 +281,13 @@ impl Membership {
         let identity = |metadata: fs::Metadata| (metadata.dev(), metadata.ino());
         let locked = self.lock.metadata().map(identity).ok();
         locked.is_some() && locked == fs::metadata(&self.endpoint.folder).map(identity).ok()
+    }
+}
+
+impl Drop for Membership {
+    fn drop(&mut self) {
+        // What cannot be removed now, the next one to come or go removes.
+        self.leave().ok();
     }
 }
 
@@ -372,9 +386,10 @@ mod tests {
         let second = endpoint.join().unwrap();
         let stray = Path::new(SHARED_MEMORY).join(format!("{}stray", endpoint.prefix));
         fs::write(&stray, "left by a crash").unwrap();
-        assert!(!first.remove_if_alone().unwrap());
+        drop(first);
         assert!(endpoint.folder().exists() && stray.exists());
-        assert!(second.remove_if_alone().unwrap());
+        assert!(!endpoint.remove_if_unused().unwrap());
+        drop(second);
         assert!(!endpoint.folder().exists() && !stray.exists());
     }
 
@@ -391,7 +406,6 @@ mod tests {
         assert_eq!(endpoint.server_state(), ServerState::Absent);
         membership.become_server(8).unwrap().unwrap().close().unwrap();
         assert_eq!(endpoint.server_state(), ServerState::Closed { epoch: 8 });
-        assert!(membership.remove_if_alone().unwrap());
     }
 
     #[test]
@@ -399,8 +413,7 @@ mod tests {
         let endpoint = unique("crash");
         fs::create_dir(endpoint.folder()).unwrap();
         fs::write(endpoint.folder().join("stale"), "").unwrap();
-        let membership = endpoint.join().unwrap();
+        let _membership = endpoint.join().unwrap();
         assert!(!endpoint.folder().join("stale").exists());
-        assert!(membership.remove_if_alone().unwrap());
     }
 }

@@ -1,1 +1,23 @@
-//! x
+//! Trocar's simulation, tasks and hosting.
+//!
+//! | module | holds |
+//! |---|---|
+//! | [`robots`] | the arms: kinematics, joint limits |
+//! | [`assets`] | models of objects, embedded |
+//! | [`sim`] | the world: physics in SI units, instruments as bodies |
+//! | [`tasks`] | what is learnt: one file per task, and the registry that lists them |
+//! | [`env`] | one environment: a task in its world, episode by episode |
+//! | [`error`] | why an environment could not be stepped |
+//!
+//! Nothing here but hosting knows of clients: an [`Env`] runs wherever it is made.
+
+pub mod assets;
+pub mod env;
+pub mod error;
+pub mod robots;
+pub mod sim;
+pub mod tasks;
+
+pub use env::{Env, Step};
+pub use error::StepError;
+pub use tasks::{Registry, Task};

@@ -1,0 +1,383 @@
+//! One environment: a task in its world, episode by episode. It knows nothing of clients.
+//!
+//! ```
+//! use trocar_proto::Options;
+//! use trocar_server::tasks::Registry;
+//!
+//! let mut env = Registry::builtin().make("NeedleReach-v0", &Options::new())?;
+//! env.reset(Some(7));
+//! let mut action = vec![0.0; env.spec().action_dim()];
+//! let step = loop {
+//!     env.expert(&mut action);
+//!     let step = env.step(&action)?;
+//!     if step.truncated {
+//!         break step;
+//!     }
+//! };
+//! assert!(step.is_success);
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
+
+use std::collections::VecDeque;
+use std::sync::Arc;
+
+use trocar_proto::goal::Reward;
+use trocar_proto::{Code, Rejection, TaskSpec};
+
+use crate::error::StepError;
+use crate::sim::random::Rng;
+use crate::sim::world::World;
+use crate::tasks::AnyTask;
+use crate::tasks::options::{Domain, SCALED_LENGTH, SCALED_LENGTHS_PER_METRE};
+
+/// What one step gave, besides what [`Env::observe`] shows.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Step {
+    /// Reward of the transition.
+    pub reward: f32,
+    /// The episode ended in a terminal state.
+    pub terminated: bool,
+    /// The episode ended at its time limit.
+    pub truncated: bool,
+    /// The goal is reached now; never for tasks without goals.
+    pub is_success: bool,
+}
+
+/// An environment as one value: world, task, randomness and step count. A clone is a snapshot and
+/// goes on bit by bit like the original.
+#[derive(Clone)]
+pub struct Env {
+    spec: Arc<TaskSpec>,
+    prepared: Arc<World>,
+    domain: Domain,
+    task: Box<dyn AnyTask>,
+    world: World,
+    seed: u64,
+    episode: u64,
+    steps: u32,
+    state: State,
+    noise: Noise,
+    delayed: VecDeque<Option<Vec<f32>>>,
+    command: Vec<f32>,
+    observation: Vec<f32>,
+    achieved: Vec<f32>,
+    desired: Vec<f32>,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum State {
+    /// Never reset.
+    New,
+    /// In an episode.
+    Running,
+    /// After an episode, or after a failure.
+    Over,
+}
+
+/// The sensor noise of an episode.
+#[derive(Debug, Clone)]
+struct Noise {
+    rng: Rng,
+    sigma: f64,
+}
+
+impl Env {
+    /// An environment of `task`, which prepared `world`; it needs a reset.
+    pub(crate) fn new(task: Box<dyn AnyTask>, world: World, domain: Domain) -> Self {
+        let spec = task.spec();
+        let (action, observation, goal) =
+            (spec.action_dim(), spec.observation_dim(), spec.goal_dim());
+        Self {
+            spec: Arc::new(spec),
+            prepared: Arc::new(world.clone()),
+            domain,
+            task,
+            world,
+            seed: 0,
+            episode: 0,
+            steps: 0,
+            state: State::New,
+            noise: Noise { rng: Rng::new(0, 0), sigma: 0.0 },
+            delayed: VecDeque::new(),
+            command: vec![0.0; action],
+            observation: vec![0.0; observation],
+            achieved: vec![0.0; goal],
+            desired: vec![0.0; goal],
+        }
+    }
+
+    /// The task under this environment's options.
+    pub fn spec(&self) -> &TaskSpec {
+        &self.spec
+    }
+
+    /// Begins an episode: episode 0 of `seed`, or without one the next episode of the seed that is
+    /// set (the first ever is episode 0 of seed 0).
+    pub fn reset(&mut self, seed: Option<u64>) {
+        match seed {
+            Some(seed) => (self.seed, self.episode) = (seed, 0),
+            None if self.state == State::New => {}
+            None => self.episode += 1,
+        }
+        tracing::debug!(task = self.spec.id, self.seed, self.episode, "reset");
+        self.steps = 0;
+        self.state = State::Running;
+        self.world.clone_from(&self.prepared);
+        self.task.reset(&mut self.world, &mut Rng::new(self.seed, self.episode));
+
+        let mut rng = Rng::sensor(self.seed, self.episode);
+        let latency = self.domain.latency.draw_integer(&mut rng);
+        self.noise = Noise { sigma: self.domain.observation_noise.draw(&mut rng), rng };
+        self.delayed.clear();
+        self.delayed.extend((0..latency).map(|_| None));
+        self.look();
+    }
+
+    /// Seed of the episode.
+    pub fn seed(&self) -> u64 {
+        self.seed
+    }
+
+    /// Number of the episode under its seed, from 0.
+    pub fn episode(&self) -> u64 {
+        self.episode
+    }
+
+    /// Steps since the episode began.
+    pub fn steps(&self) -> u32 {
+        self.steps
+    }
+
+    /// Whether [`Self::step`] would be refused: before the first reset, after an episode's end, and
+    /// after a failure of the simulation.
+    pub fn needs_reset(&self) -> bool {
+        self.state != State::Running
+    }
+
+    /// Lets one step pass. `action` has one finite number for each element of the specification;
+    /// numbers outside [−1, 1] are clipped.
+    pub fn step(&mut self, action: &[f32]) -> Result<Step, StepError> {
+        if self.needs_reset() {
+            return Err(StepError::ResetNeeded);
+        }
+        self.check(action)?;
+        let arrived = self.delay(action);
+        let command = arrived.then_some(self.command.as_slice());
+        self.task.apply(&mut self.world, command);
+        self.steps += 1;
+        self.look();
+
+        let numbers = self.observation.iter().chain(&self.achieved).chain(&self.desired);
+        let failure = if !self.world.is_finite() {
+            Some("the position or velocity of an object")
+        } else if !numbers.clone().all(|number| number.is_finite()) {
+            Some("the observation or goal")
+        } else {
+            None
+        };
+        if let Some(what) = failure {
+            self.state = State::Over;
+            return Err(StepError::Simulation { what, step: self.steps });
+        }
+
+        let reward = match (&self.spec.goal, self.spec.reward) {
+            (Some(goal), Reward::Sparse | Reward::Dense) => {
+                self.spec.reward.of(&goal.success, &self.achieved, &self.desired)
+            }
+            _ => self.task.reward(&self.world),
+        };
+        let terminated = self.task.terminated(&self.world);
+        let truncated = self.steps >= self.spec.max_steps;
+        if terminated || truncated {
+            self.state = State::Over;
+        }
+        let is_success = self.spec.is_success(&self.achieved, &self.desired);
+        Ok(Step { reward, terminated, truncated, is_success })
+    }
+
+    /// Writes the present observation and goals, of the specification's dimensions.
+    pub fn observe(&self, observation: &mut [f32], achieved: &mut [f32], desired: &mut [f32]) {
+        observation.copy_from_slice(&self.observation);
+        achieved.copy_from_slice(&self.achieved);
+        desired.copy_from_slice(&self.desired);
+    }
+
+    /// Writes the scripted expert's action for the present state.
+    pub fn expert(&self, action: &mut [f32]) {
+        self.task.expert(&self.world, action);
+        for number in action {
+            *number = number.clamp(-1.0, 1.0);
+        }
+    }
+
+    fn check(&self, action: &[f32]) -> Result<(), Rejection> {
+        let expected = self.spec.action_dim();
+        if action.len() != expected {
+            return Err(Rejection::new(
+                Code::InvalidAction,
+                "action",
+                format!("{} numbers", action.len()),
+                format!("{expected} numbers, each finite"),
+            ));
+        }
+        match action.iter().position(|number| !number.is_finite()) {
+            None => Ok(()),
+            Some(index) => Err(Rejection::new(
+                Code::InvalidAction,
+                format!("action[{index}]"),
+                action[index],
+                format!("a finite number ({})", self.spec.action[index].name),
+            )),
+        }
+    }
+
+    /// Puts the command that takes effect now into `self.command`; false where none has arrived.
+    fn delay(&mut self, action: &[f32]) -> bool {
+        let clipped = action.iter().map(|number| number.clamp(-1.0, 1.0));
+        if self.delayed.is_empty() {
+            self.command.clear();
+            self.command.extend(clipped);
+            return true;
+        }
+        self.delayed.push_back(Some(clipped.collect()));
+        match self.delayed.pop_front().flatten() {
+            None => false,
+            Some(command) => {
+                self.command = command;
+                true
+            }
+        }
+    }
+
+    /// Takes down what is seen now: with this episode's noise on positions, within the bounds.
+    fn look(&mut self) {
+        let (observation, achieved, desired) =
+            (&mut self.observation, &mut self.achieved, &mut self.desired);
+        self.task.observe(&self.world, observation, achieved, desired);
+        for (value, element) in observation.iter_mut().zip(&self.spec.observation) {
+            let noise = match element.unit.as_str() {
+                "m" => self.noise.sigma,
+                SCALED_LENGTH => self.noise.sigma * SCALED_LENGTHS_PER_METRE,
+                _ => 0.0,
+            };
+            if noise > 0.0 {
+                *value += (noise * self.noise.rng.normal()) as f32;
+            }
+            if value.is_finite() {
+                *value = value.clamp(element.min, element.max);
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use trocar_proto::Options;
+    use trocar_proto::spec::{Element, OptionSpec};
+
+    use super::*;
+    use crate::sim::world::Solver;
+    use crate::tasks::{Registry, Task};
+
+    /// A task whose observation stops being a number when the action is 1.
+    #[derive(Clone)]
+    struct Fragile(f32);
+
+    impl Task for Fragile {
+        const ID: &'static str = "Fragile-v0";
+
+        fn options() -> Vec<OptionSpec> {
+            vec![]
+        }
+
+        fn new(_: &Options) -> Result<(Self, World), Rejection> {
+            Ok((Self(0.0), World::new(Solver::LIGHT)))
+        }
+
+        fn spec(&self) -> TaskSpec {
+            TaskSpec {
+                id: Self::ID.into(),
+                summary: String::new(),
+                max_steps: 3,
+                seconds_per_step: 0.1,
+                action: vec![Element::new("break", "", "1", -1.0, 1.0)],
+                observation: vec![Element::new("state", "", "1", -1.0, 1.0)],
+                goal: None,
+                reward: Reward::State,
+                options: vec![],
+            }
+        }
+
+        fn reset(&mut self, _: &mut World, _: &mut Rng) {
+            self.0 = 0.0;
+        }
+
+        fn apply(&mut self, _: &mut World, action: Option<&[f32]>) {
+            self.0 = if action == Some(&[1.0]) { f32::NAN } else { 0.5 };
+        }
+
+        fn observe(&self, _: &World, observation: &mut [f32], _: &mut [f32], _: &mut [f32]) {
+            observation[0] = self.0;
+        }
+
+        fn reward(&self, _: &World) -> f32 {
+            2.0 * self.0
+        }
+
+        fn expert(&self, _: &World, action: &mut [f32]) {
+            action[0] = 7.0;
+        }
+    }
+
+    fn fragile() -> Env {
+        let mut registry = Registry::empty();
+        registry.register::<Fragile>();
+        registry.make("Fragile-v0", &Options::new()).unwrap()
+    }
+
+    #[test]
+    fn a_state_that_is_not_finite_ends_only_this_episode() {
+        let mut env = fragile();
+        let mut other = env.clone();
+        env.reset(None);
+        other.reset(None);
+        assert!(matches!(env.step(&[1.0]), Err(StepError::Simulation { step: 1, .. })));
+        assert_eq!(env.step(&[0.0]), Err(StepError::ResetNeeded));
+        assert_eq!(other.step(&[0.0]).unwrap().reward, 1.0);
+        env.reset(None);
+        assert_eq!(env.step(&[0.0]).unwrap().reward, 1.0);
+    }
+
+    #[test]
+    fn an_environment_is_reset_before_and_after_each_episode() {
+        let mut env = fragile();
+        assert!(env.needs_reset());
+        assert_eq!(env.step(&[0.0]), Err(StepError::ResetNeeded));
+        env.reset(None);
+        assert_eq!((env.seed(), env.episode()), (0, 0));
+        for step in 1..=3 {
+            assert_eq!(env.step(&[0.0]).unwrap().truncated, step == 3);
+            assert_eq!(env.steps(), step);
+        }
+        assert_eq!(env.step(&[0.0]), Err(StepError::ResetNeeded));
+        env.reset(None);
+        assert_eq!((env.seed(), env.episode(), env.steps()), (0, 1, 0));
+        env.reset(Some(9));
+        assert_eq!((env.seed(), env.episode()), (9, 0));
+    }
+
+    #[test]
+    fn bad_actions_are_refused_by_name_and_the_experts_are_clipped() {
+        let mut env = fragile();
+        env.reset(None);
+        let StepError::InvalidAction(refusal) = env.step(&[f32::NAN]).unwrap_err() else {
+            panic!("not refused as an action");
+        };
+        assert_eq!((refusal.code, refusal.field.as_str()), (Code::InvalidAction, "action[0]"));
+        assert!(matches!(env.step(&[0.0, 0.0]), Err(StepError::InvalidAction(_))));
+        assert_eq!(env.steps(), 0);
+        let mut action = [0.0];
+        env.expert(&mut action);
+        assert_eq!(action, [1.0]);
+    }
+}

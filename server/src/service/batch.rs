@@ -1,0 +1,252 @@
+//! The environments of a session: reset, step, autoreset. No transport in here.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use trocar_proto::control::{Autoreset, SessionRequest};
+use trocar_proto::{Code, Rejection, TaskSpec};
+
+use super::rows::Rows;
+use super::scheduler::{Divisible, Scheduler};
+use crate::env::{Env, StepError};
+use crate::tasks::Registry;
+
+/// N environments of one task.
+#[derive(Debug)]
+pub(crate) struct Batch {
+    envs: Vec<Env>,
+    spec: Arc<TaskSpec>,
+    autoreset: Autoreset,
+    /// Expected time of one environment's step.
+    cost: Duration,
+}
+
+/// What a request does with each of its environments.
+#[derive(Debug, Clone, Copy)]
+pub(crate) enum Deed<'a> {
+    /// Reset; with the seeds (rows) where given, else to the next episode.
+    Reset(Option<&'a [u64]>),
+    /// Step with the actions (rows, action dim).
+    Step(&'a [f32]),
+}
+
+impl Batch {
+    /// The environments that a request asks for; its task and options are checked again.
+    pub(crate) fn new(registry: &Registry, request: &SessionRequest) -> Result<Self, Rejection> {
+        let first = registry.make(&request.task, &request.options)?;
+        let spec = Arc::new(first.spec().clone());
+        let envs = (0..u64::from(request.envs))
+            .map(|index| {
+                let mut env = first.clone();
+                env.set_seed(request.seed.wrapping_add(index));
+                env
+            })
+            .collect();
+        Ok(Self { envs, spec, autoreset: request.autoreset, cost: Duration::from_micros(100) })
+    }
+
+    /// The task under the session's options.
+    pub(crate) fn spec(&self) -> &Arc<TaskSpec> {
+        &self.spec
+    }
+
+    /// Carries out `deed` for the environments `env_ids` and writes their rows. Either all of it
+    /// is carried out, or none and the refusal says why.
+    pub(crate) fn apply(
+        &mut self,
+        deed: Deed<'_>,
+        env_ids: &[u32],
+        want_expert: bool,
+        rows: Rows<'_>,
+        scheduler: &Scheduler,
+    ) -> Result<(), Rejection> {
+        self.check_env_ids(env_ids)?;
+        if let Deed::Step(actions) = deed {
+            self.check_actions(actions, env_ids)?;
+            self.check_reset(env_ids)?;
+        }
+        let mut cost = self.cost;
+        let work = Work {
+            first: 0,
+            envs: &mut self.envs,
+            env_ids,
+            deed,
+            action_dim: self.spec.action_dim(),
+            autoreset: self.autoreset,
+            want_expert,
+            rows,
+        };
+        scheduler.run(work, &mut cost);
+        self.cost = cost;
+        Ok(())
+    }
+
+    fn check_env_ids(&self, env_ids: &[u32]) -> Result<(), Rejection> {
+        let increasing = env_ids.windows(2).all(|pair| pair[0] < pair[1]);
+        let in_range = env_ids.last().is_some_and(|last| (*last as usize) < self.envs.len());
+        if increasing && in_range {
+            return Ok(());
+        }
+        Err(Rejection::new(
+            Code::InvalidEnvIds,
+            "env_ids",
+            format!("{env_ids:?}"),
+            format!("allowed are one or more increasing numbers below {}", self.envs.len()),
+        ))
+    }
+
+    fn check_actions(&self, actions: &[f32], env_ids: &[u32]) -> Result<(), Rejection> {
+        let Some(at) = actions.iter().position(|value| !value.is_finite()) else { return Ok(()) };
+        let dim = self.spec.action_dim();
+        Err(Rejection::new(
+            Code::InvalidAction,
+            format!("actions[env {}][{}]", env_ids[at / dim], at % dim),
+            actions[at],
+            format!("allowed is a finite number ({})", self.spec.action[at % dim].name),
+        ))
+    }
+
+    fn check_reset(&self, env_ids: &[u32]) -> Result<(), Rejection> {
+        let unready = |id: &&u32| {
+            let env = &self.envs[**id as usize];
+            env.needs_reset() && (self.autoreset != Autoreset::NextStep || !env.was_reset())
+        };
+        let Some(id) = env_ids.iter().find(unready) else { return Ok(()) };
+        let why = if self.envs[*id as usize].was_reset() {
+            "its episode has ended; reset it before the next step"
+        } else {
+            "it was never reset; reset it before the first step"
+        };
+        Err(Rejection::new(Code::ResetNeeded, "env", id, why))
+    }
+}
+
+/// Some rows of a request: the environments it is about and where their results go.
+struct Work<'a> {
+    /// The number of `envs[0]` in the session.
+    first: u32,
+    envs: &'a mut [Env],
+    env_ids: &'a [u32],
+    deed: Deed<'a>,
+    action_dim: usize,
+    autoreset: Autoreset,
+    want_expert: bool,
+    rows: Rows<'a>,
+}
+
+impl Divisible for Work<'_> {
+    fn len(&self) -> usize {
+        self.env_ids.len()
+    }
+
+    fn split_at(self, at: usize) -> (Self, Self) {
+        let (ids, later_ids) = self.env_ids.split_at(at);
+        // Increasing ids: everything from the first later one on belongs to the second part.
+        let border = later_ids.first().map_or(self.envs.len(), |id| (id - self.first) as usize);
+        let (envs, later_envs) = self.envs.split_at_mut(border);
+        let (deed, later_deed) = match self.deed {
+            Deed::Reset(None) => (Deed::Reset(None), Deed::Reset(None)),
+            Deed::Reset(Some(seeds)) => {
+                let (seeds, later) = seeds.split_at(at);
+                (Deed::Reset(Some(seeds)), Deed::Reset(Some(later)))
+            }
+            Deed::Step(actions) => {
+                let (actions, later) = actions.split_at(at * self.action_dim);
+                (Deed::Step(actions), Deed::Step(later))
+            }
+        };
+        let (rows, later_rows) = self.rows.split_at(at);
+        let part = |first, envs, env_ids, deed, rows| Self {
+            first,
+            envs,
+            env_ids,
+            deed,
+            action_dim: self.action_dim,
+            autoreset: self.autoreset,
+            want_expert: self.want_expert,
+            rows,
+        };
+        let now = part(self.first, envs, ids, deed, rows);
+        let later = part(self.first + border as u32, later_envs, later_ids, later_deed, later_rows);
+        (now, later)
+    }
+
+    fn run(mut self) {
+        for (row, id) in self.env_ids.iter().enumerate() {
+            let env = &mut self.envs[(id - self.first) as usize];
+            match self.deed {
+                Deed::Reset(seeds) => {
+                    env.reset(seeds.map(|seeds| seeds[row]));
+                    write_transition(&mut self.rows, row, 0.0, false, false, false, 0);
+                }
+                Deed::Step(actions) => {
+                    let action = &actions[row * self.action_dim..(row + 1) * self.action_dim];
+                    step(env, action, self.autoreset, &mut self.rows, row);
+                }
+            }
+            write_state(env, self.want_expert, &mut self.rows, row);
+        }
+    }
+}
+
+/// Steps one environment, or resets it where the autoreset mode says so.
+fn step(env: &mut Env, action: &[f32], autoreset: Autoreset, rows: &mut Rows<'_>, row: usize) {
+    if env.needs_reset() {
+        env.reset(None);
+        return write_transition(rows, row, 0.0, false, false, false, 0);
+    }
+    match env.step(action) {
+        Ok(step) => {
+            write_transition(
+                rows,
+                row,
+                step.reward,
+                step.terminated,
+                step.truncated,
+                step.is_success,
+                0,
+            );
+        }
+        // The actions were checked and the episode runs, so only the simulation can have failed:
+        // the episode ends for a reason outside of the task.
+        Err(error) => {
+            debug_assert!(matches!(error, StepError::Simulation(_)));
+            tracing::warn!(%error, seed = env.seed(), episode = env.episode(), "simulation failed");
+            write_transition(rows, row, 0.0, false, true, false, Code::Simulation as u8);
+        }
+    }
+    if env.needs_reset() && autoreset == Autoreset::SameStep {
+        env.observe(
+            rows.final_observation.row(row),
+            rows.final_achieved_goal.row(row),
+            rows.final_desired_goal.row(row),
+        );
+        env.reset(None);
+    }
+}
+
+fn write_transition(
+    rows: &mut Rows<'_>,
+    row: usize,
+    reward: f32,
+    terminated: bool,
+    truncated: bool,
+    is_success: bool,
+    fault: u8,
+) {
+    rows.reward.row(row)[0] = reward;
+    rows.terminated.row(row)[0] = terminated.into();
+    rows.truncated.row(row)[0] = truncated.into();
+    rows.is_success.row(row)[0] = is_success.into();
+    rows.fault.row(row)[0] = fault;
+}
+
+fn write_state(env: &Env, want_expert: bool, rows: &mut Rows<'_>, row: usize) {
+    env.observe(rows.observation.row(row), rows.achieved_goal.row(row), rows.desired_goal.row(row));
+    rows.steps.row(row)[0] = env.steps();
+    rows.seed.row(row)[0] = env.seed();
+    rows.episode.row(row)[0] = env.episode();
+    if want_expert {
+        env.expert(rows.expert_action.row(row));
+    }
+}

@@ -1,0 +1,249 @@
+//! What a control message means, without any transport: every byte that a client can send on the
+//! control service is judged here, so this is what the fuzz tests attack.
+
+use std::sync::Arc;
+
+use trocar_proto::control::{
+    self, ClientInfo, ControlReply, ControlRequest, ServerInfo, SessionRequest,
+};
+use trocar_proto::endpoint::{Endpoint, MAX_CLIENTS};
+use trocar_proto::wire::{
+    Header, MAGIC, MAX_HELD_REPLIES, MAX_IN_FLIGHT, ReplyLayout, RequestLayout,
+};
+use trocar_proto::{Code, PROTOCOL_VERSION, Rejection, TaskSpec};
+
+use super::{ServeError, ServerConfig};
+use crate::env::Env;
+use crate::tasks::Registry;
+
+/// What is to be done about a control message.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Answer {
+    /// Send this.
+    Reply(ControlReply),
+    /// Open this session, which was checked and is counted with `bytes` of memory.
+    Open {
+        /// What is wanted.
+        request: SessionRequest,
+        /// Who asked.
+        client: ClientInfo,
+        /// Memory it may take.
+        bytes: u64,
+    },
+    /// Close this session if it belongs to this client's node.
+    Close {
+        /// Which session.
+        session: u64,
+        /// Who asked.
+        node: u128,
+    },
+    /// Say who is connected.
+    Status,
+    /// End the server.
+    Shutdown,
+}
+
+/// Judges control messages.
+#[derive(Debug, Clone)]
+pub struct Desk {
+    registry: Arc<Registry>,
+    info: ServerInfo,
+    budget: u64,
+}
+
+impl Desk {
+    /// The desk of one run of a server.
+    pub fn new(registry: Arc<Registry>, config: &ServerConfig, epoch: u64) -> Self {
+        let info = ServerInfo {
+            name: config.name.to_string(),
+            pid: std::process::id(),
+            epoch,
+            version: env!("CARGO_PKG_VERSION").into(),
+            max_envs: config.max_envs,
+        };
+        Self { registry, info, budget: config.memory_bytes }
+    }
+
+    /// The server, as it introduces itself.
+    pub fn info(&self) -> &ServerInfo {
+        &self.info
+    }
+
+    /// What to do about a message. `used` is the memory that open sessions take, `sessions` their
+    /// number.
+    pub fn judge(&self, header: &Header, payload: &[u8], used: u64, sessions: usize) -> Answer {
+        match self.try_judge(header, payload, used, sessions) {
+            Ok(answer) => answer,
+            Err(refusal) => Answer::Reply(ControlReply::Refused(refusal)),
+        }
+    }
+
+    fn try_judge(
+        &self,
+        header: &Header,
+        payload: &[u8],
+        used: u64,
+        sessions: usize,
+    ) -> Result<Answer, Rejection> {
+        check_header(header)?;
+        let Some(body) = payload.get(..header.length as usize) else {
+            return Err(Rejection::new(
+                Code::Malformed,
+                "header.length",
+                header.length,
+                format!("at most the {} bytes that were sent", payload.len()),
+            ));
+        };
+        let request: ControlRequest = control::decode(body)?;
+        if header.kind != request.kind() {
+            return Err(Rejection::new(
+                Code::Malformed,
+                "header.kind",
+                header.kind,
+                format!("the message is of kind {}", request.kind()),
+            ));
+        }
+        Ok(match request {
+            ControlRequest::Hello(_) => Answer::Reply(ControlReply::Hello(self.info.clone())),
+            ControlRequest::ListTasks => {
+                let ids = self.registry.ids().map(str::to_string).collect();
+                Answer::Reply(ControlReply::Tasks(ids))
+            }
+            ControlRequest::DescribeTask { task, options } => {
+                Answer::Reply(ControlReply::Task(self.registry.spec(&task, &options)?))
+            }
+            ControlRequest::OpenSession { request, client } => {
+                let bytes = self.check_session(&request, used, sessions)?;
+                Answer::Open { request, client, bytes }
+            }
+            ControlRequest::CloseSession { session, node } => Answer::Close { session, node },
+            ControlRequest::Status => Answer::Status,
+            ControlRequest::Shutdown => Answer::Shutdown,
+        })
+    }
+
+    /// Whether a session may be opened, and how much memory it is counted with.
+    fn check_session(
+        &self,
+        request: &SessionRequest,
+        used: u64,
+        sessions: usize,
+    ) -> Result<u64, Rejection> {
+        let spec = self.registry.spec(&request.task, &request.options)?;
+        if !(1..=self.info.max_envs).contains(&request.envs) {
+            return Err(Rejection::new(
+                Code::InvalidEnvCount,
+                "envs",
+                request.envs,
+                format!("allowed is 1 to {} (serve --max-envs)", self.info.max_envs),
+            ));
+        }
+        if sessions >= MAX_SESSIONS {
+            return Err(Rejection::new(
+                Code::TooManySessions,
+                "sessions",
+                sessions + 1,
+                format!("allowed are {MAX_SESSIONS} at a time"),
+            ));
+        }
+        let shared = shared_bytes(request.envs as usize, &spec);
+        let bytes = shared + u64::from(request.envs) * Env::MEMORY_BYTES;
+        if used + bytes > self.budget {
+            return Err(Rejection::new(
+                Code::MemoryBudget,
+                "envs",
+                request.envs,
+                format!(
+                    "{} of task {} need {}, and {} of {} are taken (serve --memory)",
+                    request.envs,
+                    spec.id,
+                    mebibytes(bytes),
+                    mebibytes(used),
+                    mebibytes(self.budget)
+                ),
+            ));
+        }
+        let free = Endpoint::free_memory().unwrap_or(u64::MAX);
+        // A full /dev/shm kills whoever writes to it, so some must always stay free.
+        if shared + RESERVE > free {
+            return Err(Rejection::new(
+                Code::MemoryBudget,
+                "envs",
+                request.envs,
+                format!(
+                    "the session needs {} of shared memory, and {} of /dev/shm are free; give \
+                     the container more (docker run --shm-size)",
+                    mebibytes(shared),
+                    mebibytes(free)
+                ),
+            ));
+        }
+        Ok(bytes)
+    }
+}
+
+/// Most sessions at a time; each takes a thread and about ten file descriptors.
+pub(super) const MAX_SESSIONS: usize = MAX_CLIENTS;
+
+/// Shared memory that must stay free, bytes: the bookkeeping of a few more clients.
+const RESERVE: u64 = 4 << 20;
+
+/// Bookkeeping of one session in shared memory, bytes (measured: three services take 0.2 MiB).
+const SERVICE_BYTES: u64 = 256 << 10;
+
+/// Shared memory that a session may take, bytes. The transport keeps twice as many buffers as
+/// requests may be in flight, each with room for what is sent, held and being written.
+pub(super) fn shared_bytes(envs: usize, spec: &TaskSpec) -> u64 {
+    let replies = 2 * MAX_IN_FLIGHT * (1 + MAX_HELD_REPLIES + 1);
+    let requests = 2 * MAX_IN_FLIGHT + 2;
+    let bytes = replies * ReplyLayout::new(envs, spec).bytes
+        + requests * RequestLayout::new(envs, spec).bytes;
+    bytes as u64 + SERVICE_BYTES
+}
+
+/// Whether a message speaks this protocol.
+pub(super) fn check_header(header: &Header) -> Result<(), Rejection> {
+    if header.magic != MAGIC {
+        return Err(Rejection::new(
+            Code::Malformed,
+            "header.magic",
+            format!("{:#010x}", header.magic),
+            format!("expected {MAGIC:#010x}"),
+        ));
+    }
+    if header.protocol != PROTOCOL_VERSION {
+        return Err(Rejection::new(
+            Code::VersionMismatch,
+            "protocol version",
+            header.protocol,
+            format!(
+                "the server speaks version {PROTOCOL_VERSION} (trocar {}), the client version {}; \
+                 install the same release on both sides",
+                env!("CARGO_PKG_VERSION"),
+                header.protocol
+            ),
+        ));
+    }
+    Ok(())
+}
+
+/// Whether a configuration makes sense.
+pub(super) fn check_config(config: &ServerConfig) -> Result<(), ServeError> {
+    let check = |field: &str, value: u64, allowed: std::ops::RangeInclusive<u64>| {
+        if allowed.contains(&value) {
+            return Ok(());
+        }
+        let (least, most) = allowed.into_inner();
+        let allowed = format!("allowed is {least} to {most}");
+        Err(Rejection::new(Code::InvalidOption, field, value, allowed))
+    };
+    check("--threads", config.threads as u64, 1..=1024)?;
+    check("--max-envs", config.max_envs.into(), 1..=65_536)?;
+    check("--memory", config.memory_bytes, 1 << 20..=1 << 50)?;
+    check("--idle-limit", config.idle_limit.as_secs(), 1..=u64::from(u32::MAX))?;
+    Ok(())
+}
+
+fn mebibytes(bytes: u64) -> String {
+    format!("{:.1} MiB", bytes as f64 / f64::from(1 << 20))
+}

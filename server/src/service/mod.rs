@@ -1,0 +1,172 @@
+//! Hosting: sessions of many clients over shared memory.
+//!
+//! | file | holds |
+//! |---|---|
+//! | [`mod@self`] | [`serve`]: the life of a server, from its lock to its last file |
+//! | `control.rs` | the control loop: rare messages, opening and closing sessions |
+//! | `desk.rs` | what a control message means, without any transport |
+//! | `lease.rs` | who is alive: reclaims what dead clients leave |
+//! | `session.rs` | one thread per session: waits for requests, answers them |
+//! | `batch.rs` | the environments of a session: reset, step, autoreset |
+//! | `rows.rs` | the arrays of a reply, row by row |
+//! | `scheduler.rs` | turns: which session's environments run on which threads |
+//!
+//! Every session has its own data service, thread and environments, so a slow session never holds
+//! up a fast one; the scheduler hands out turns of about a millisecond in order of arrival.
+
+mod batch;
+mod control;
+mod desk;
+mod lease;
+mod rows;
+mod scheduler;
+mod session;
+
+use std::io;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
+
+use trocar_proto::endpoint::{Endpoint, ServerName};
+
+use crate::tasks::Registry;
+
+pub use desk::{Answer, Desk};
+
+/// How a server is set up. [`Self::new`] gives the defaults.
+#[derive(Debug, Clone)]
+pub struct ServerConfig {
+    /// The name clients connect to.
+    pub name: ServerName,
+    /// Threads that step environments.
+    pub threads: usize,
+    /// Most environments that one session may have.
+    pub max_envs: u32,
+    /// Memory that all sessions together may take, bytes.
+    pub memory_bytes: u64,
+    /// A session that sends nothing for so long is closed.
+    pub idle_limit: Duration,
+    /// Set for the private server of a process tree.
+    pub private: Option<PrivateRule>,
+}
+
+/// When a private server ends by itself.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct PrivateRule {
+    /// The process whose end ends the server.
+    pub root: u32,
+    /// How long the server outlives its last client.
+    pub linger: Duration,
+}
+
+impl ServerConfig {
+    /// The defaults: one thread per core, 4096 environments, 1 GiB, one hour.
+    pub fn new(name: ServerName) -> Self {
+        Self {
+            name,
+            threads: std::thread::available_parallelism().map_or(1, usize::from),
+            max_envs: 4096,
+            memory_bytes: 1 << 30,
+            idle_limit: Duration::from_secs(3600),
+            private: None,
+        }
+    }
+}
+
+/// Asks a server to end; may be set from a signal handler.
+#[derive(Debug, Clone, Default)]
+pub struct StopSignal(Arc<AtomicBool>);
+
+impl StopSignal {
+    /// Asks the server to end; it does within a fraction of a second.
+    pub fn set(&self) {
+        self.0.store(true, Ordering::Release);
+    }
+
+    /// Whether the server was asked to end.
+    pub fn is_set(&self) -> bool {
+        self.0.load(Ordering::Acquire)
+    }
+}
+
+/// Why a server could not serve.
+#[derive(Debug, thiserror::Error)]
+pub enum ServeError {
+    /// Another server of that name runs.
+    #[error(
+        "a server named {name:?} is running already (process {pid}); choose another --name, or stop it with `trocar stop --name {name}`"
+    )]
+    NameInUse {
+        /// The name.
+        name: String,
+        /// The other server's process id, in its own process namespace.
+        pid: u32,
+    },
+    /// The configuration asks for something impossible.
+    #[error(transparent)]
+    Config(#[from] trocar_proto::Rejection),
+    /// The folder or the lock file failed.
+    #[error("{path}: {source}")]
+    Folder {
+        /// The server's folder.
+        path: String,
+        /// What failed.
+        source: io::Error,
+    },
+    /// Threads could not be started.
+    #[error("threads: {0}")]
+    Threads(String),
+    /// Shared memory or its bookkeeping failed.
+    #[error("shared memory: {0}")]
+    Transport(String),
+}
+
+/// Serves the tasks of `registry` until `stop` is set, a client asks for it, or the private rule
+/// says so. `ready` is called once clients can connect.
+pub fn serve(
+    registry: Registry,
+    config: &ServerConfig,
+    stop: &StopSignal,
+    ready: impl FnOnce(),
+) -> Result<(), ServeError> {
+    desk::check_config(config)?;
+    raise_file_limit();
+    let endpoint = Endpoint::new(&config.name);
+    let folder =
+        |source| ServeError::Folder { path: endpoint.folder().display().to_string(), source };
+    let epoch = new_epoch();
+    let membership = endpoint.join().map_err(folder)?;
+    let lock = membership
+        .become_server(epoch)
+        .map_err(folder)?
+        .map_err(|pid| ServeError::NameInUse { name: config.name.to_string(), pid })?;
+    let node = Arc::new(membership.node().map_err(transport("node"))?);
+    // A predecessor may have died while its clients live: what it left goes first.
+    node.try_cleanup_dead_nodes();
+    let served = control::run(Arc::new(registry), config, epoch, &node, stop, ready);
+    node.try_cleanup_dead_nodes();
+    drop(node);
+    lock.close().map_err(folder)?;
+    // The last one out removes the folder: this server, or a client that is still there.
+    drop(membership);
+    served
+}
+
+/// A number that tells this run of the server from every other: nanoseconds since 1970.
+fn new_epoch() -> u64 {
+    std::time::UNIX_EPOCH.elapsed().map_or(1, |time| time.as_nanos() as u64)
+}
+
+/// Every client takes about ten file descriptors; most systems allow 1024 unless asked for more.
+fn raise_file_limit() {
+    use rustix::process::{Resource, Rlimit, getrlimit, setrlimit};
+    let limit = getrlimit(Resource::Nofile);
+    let wanted = Rlimit { current: limit.maximum, maximum: limit.maximum };
+    if let Err(error) = setrlimit(Resource::Nofile, wanted) {
+        tracing::warn!(%error, "the limit of open files could not be raised");
+    }
+}
+
+fn transport<E: std::fmt::Debug>(what: &'static str) -> impl FnOnce(E) -> ServeError {
+    move |error| ServeError::Transport(format!("{what}: {error:?}"))
+}

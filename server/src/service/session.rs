@@ -1,0 +1,413 @@
+//! One thread per session: waits for requests, answers them.
+
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::thread::JoinHandle;
+use std::time::{Duration, Instant};
+
+use hdrhistogram::Histogram;
+use iceoryx2::port::listener::Listener;
+use iceoryx2::port::notifier::Notifier;
+use iceoryx2::port::server::Server as ServerPort;
+use iceoryx2::prelude::{Alignment, EventId, ServiceName};
+use trocar_proto::control::{
+    self, ClientInfo, ControlReply, SessionInfo, SessionRequest, SessionStatus,
+};
+use trocar_proto::endpoint::{self, Node, Transport};
+use trocar_proto::wire::{
+    ALIGNMENT, Header, MAX_HELD_REPLIES, MAX_IN_FLIGHT, ReplyLayout, RequestLayout, flag, kind,
+};
+use trocar_proto::{Code, Rejection};
+
+use super::batch::{Batch, Deed};
+use super::control::{RawRequest, reply};
+use super::desk;
+use super::rows::Rows;
+use super::scheduler::Scheduler;
+use crate::tasks::Registry;
+
+/// How long an idle session sleeps before it looks whether it should end.
+const SLICE: Duration = Duration::from_millis(100);
+
+/// How long a session offers its core to others before it sleeps: a client that answers at once
+/// then needs no wake-up. Longer would keep a core from those that could use it.
+const OFFER: Duration = Duration::from_micros(20);
+
+type Port = ServerPort<Transport, [u8], Header, [u8], Header>;
+
+/// What all sessions of a server share.
+#[derive(Debug)]
+pub(super) struct Ground {
+    pub(super) registry: Arc<Registry>,
+    pub(super) scheduler: Scheduler,
+    pub(super) node: Arc<Node>,
+    pub(super) epoch: u64,
+    pub(super) idle_limit: Duration,
+}
+
+/// A session as the control loop sees it.
+#[derive(Debug)]
+pub(super) struct SessionHandle {
+    shared: Arc<Shared>,
+    thread: JoinHandle<()>,
+    bytes: u64,
+}
+
+#[derive(Debug)]
+struct Shared {
+    id: u64,
+    client: ClientInfo,
+    task: String,
+    envs: u32,
+    stop: AtomicBool,
+    pace: Mutex<Pace>,
+}
+
+/// How fast a session runs.
+#[derive(Debug)]
+struct Pace {
+    /// Time per message, µs.
+    latency: Histogram<u64>,
+    window_start: Instant,
+    window_steps: u64,
+    steps_per_second: f64,
+}
+
+/// Opens a session on a thread of its own, which answers `request` when all is in place, or says
+/// why not.
+pub(super) fn open(
+    ground: Arc<Ground>,
+    id: u64,
+    wanted: SessionRequest,
+    client: ClientInfo,
+    bytes: u64,
+    request: RawRequest,
+) -> Option<SessionHandle> {
+    let shared = Arc::new(Shared {
+        id,
+        client,
+        task: wanted.task.clone(),
+        envs: wanted.envs,
+        stop: AtomicBool::new(false),
+        pace: Mutex::new(Pace::new()),
+    });
+    // If the thread cannot be started, the request goes back with it and the client is told.
+    let parcel = Arc::new(Mutex::new(Some((wanted, request))));
+    let (inner, in_thread) = (Arc::clone(&shared), Arc::clone(&parcel));
+    let thread = std::thread::Builder::new().name(format!("trocar-{id}")).spawn(move || {
+        let parcel = in_thread.lock().unwrap_or_else(PoisonError::into_inner).take();
+        let Some((wanted, request)) = parcel else { return };
+        match Session::open(ground, inner, &wanted) {
+            Ok((session, info)) => {
+                reply(&request, &ControlReply::Opened(info));
+                drop(request);
+                session.run();
+            }
+            Err(refusal) => reply(&request, &ControlReply::Refused(refusal)),
+        }
+    });
+    match thread {
+        Ok(thread) => Some(SessionHandle { shared, thread, bytes }),
+        Err(error) => {
+            let refusal = internal("thread")(error);
+            if let Some((_, request)) = parcel.lock().unwrap_or_else(PoisonError::into_inner).take()
+            {
+                reply(&request, &ControlReply::Refused(refusal));
+            }
+            None
+        }
+    }
+}
+
+impl SessionHandle {
+    pub(super) fn client(&self) -> &ClientInfo {
+        &self.shared.client
+    }
+
+    pub(super) fn bytes(&self) -> u64 {
+        self.bytes
+    }
+
+    /// Asks the session to end.
+    pub(super) fn stop(&self) {
+        self.shared.stop.store(true, Ordering::Release);
+    }
+
+    pub(super) fn has_ended(&self) -> bool {
+        self.thread.is_finished()
+    }
+
+    pub(super) fn join(self) {
+        if self.thread.join().is_err() {
+            tracing::error!(session = self.shared.id, "a session's thread panicked");
+        }
+    }
+
+    pub(super) fn status(&self) -> SessionStatus {
+        let Shared { id, client, task, envs, pace, .. } = &*self.shared;
+        let pace = pace.lock().unwrap_or_else(PoisonError::into_inner);
+        SessionStatus {
+            id: *id,
+            pid: client.pid,
+            task: task.clone(),
+            envs: *envs,
+            steps_per_second: pace.steps_per_second(),
+            p50_us: pace.latency.value_at_quantile(0.5) as f64,
+            p99_us: pace.latency.value_at_quantile(0.99) as f64,
+        }
+    }
+}
+
+/// The thread's side of a session.
+struct Session {
+    ground: Arc<Ground>,
+    shared: Arc<Shared>,
+    batch: Batch,
+    request_layout: RequestLayout,
+    reply_layout: ReplyLayout,
+    port: Port,
+    bell: Listener<Transport>,
+    reply_bell: Notifier<Transport>,
+    inbox: Inbox,
+}
+
+/// A request's arrays, copied out of shared memory before anything looks at them, since whoever
+/// wrote them could still change them.
+#[derive(Debug, Default)]
+struct Inbox {
+    env_ids: Vec<u32>,
+    actions: Vec<f32>,
+    seeds: Vec<u64>,
+}
+
+impl Session {
+    fn open(
+        ground: Arc<Ground>,
+        shared: Arc<Shared>,
+        wanted: &SessionRequest,
+    ) -> Result<(Self, SessionInfo), Rejection> {
+        let batch = Batch::new(&ground.registry, wanted)?;
+        let spec = batch.spec();
+        let (envs, action_dim) = (wanted.envs as usize, spec.action_dim());
+        let request_layout = RequestLayout::new(envs, spec);
+        let reply_layout = ReplyLayout::new(envs, spec);
+        let (epoch, id) = (ground.epoch, shared.id);
+        let info = SessionInfo { session: id, epoch, envs: wanted.envs, spec: (**spec).clone() };
+        let alignment = Alignment::new(ALIGNMENT).expect("a power of two");
+        let service = ground
+            .node
+            .service_builder(&service_name(&endpoint::data_service(epoch, id)))
+            .request_response::<[u8], [u8]>()
+            .request_user_header::<Header>()
+            .response_user_header::<Header>()
+            .request_payload_alignment(alignment)
+            .response_payload_alignment(alignment)
+            .max_servers(1)
+            .max_clients(1)
+            .max_nodes(2)
+            .max_active_requests_per_client(MAX_IN_FLIGHT)
+            .max_loaned_requests(1)
+            .max_response_buffer_size(1)
+            .max_borrowed_responses_per_pending_response(MAX_HELD_REPLIES)
+            .enable_safe_overflow_for_requests(false)
+            .enable_safe_overflow_for_responses(false)
+            .enable_fire_and_forget_requests(false)
+            .create()
+            .map_err(internal("data service"))?;
+        let bell = |name: String| {
+            let service = ground.node.service_builder(&service_name(&name)).event();
+            let service = service.max_listeners(1).max_notifiers(1).max_nodes(2).create();
+            service.map_err(internal("session bell"))
+        };
+        let request_bell = bell(endpoint::request_bell(epoch, id))?;
+        let reply_bell = bell(endpoint::reply_bell(epoch, id))?;
+        let session = Self {
+            port: service
+                .server_builder()
+                .initial_max_slice_len(reply_layout.bytes)
+                .max_loaned_responses_per_request(1)
+                .create()
+                .map_err(internal("data port"))?,
+            bell: request_bell.listener_builder().create().map_err(internal("request bell"))?,
+            reply_bell: reply_bell.notifier_builder().create().map_err(internal("reply bell"))?,
+            inbox: Inbox {
+                env_ids: vec![0; envs],
+                actions: vec![0.0; envs * action_dim],
+                seeds: vec![0; envs],
+            },
+            ground,
+            shared,
+            batch,
+            request_layout,
+            reply_layout,
+        };
+        Ok((session, info))
+    }
+
+    fn run(mut self) {
+        let (id, task, envs) = (self.shared.id, self.shared.task.clone(), self.shared.envs);
+        tracing::debug!(session = id, task, envs, pid = self.shared.client.pid, "session opened");
+        let mut active = Instant::now();
+        while !self.shared.stop.load(Ordering::Acquire) {
+            match self.port.receive() {
+                Ok(Some(request)) => {
+                    let start = Instant::now();
+                    let steps = self.answer(&request);
+                    self.note(start, steps);
+                    active = Instant::now();
+                }
+                Ok(None) if active.elapsed() < OFFER && !self.ground.scheduler.is_busy() => {
+                    std::thread::yield_now();
+                }
+                Ok(None) => {
+                    if active.elapsed() > self.ground.idle_limit {
+                        tracing::info!(session = id, "closed at the idle limit");
+                        return;
+                    }
+                    self.bell.timed_wait(|_| {}, SLICE).ok();
+                }
+                Err(error) => {
+                    tracing::warn!(session = id, ?error, "a request was not received");
+                    self.bell.timed_wait(|_| {}, SLICE).ok();
+                }
+            }
+        }
+        tracing::debug!(session = id, "session closed");
+    }
+
+    /// Answers one request; returns the number of environments that it moved on.
+    fn answer(&mut self, request: &RawRequest) -> u64 {
+        let asked = *request.user_header();
+        let mut response = match request.loan_slice(self.reply_layout.bytes) {
+            Ok(response) => response,
+            Err(error) => {
+                tracing::warn!(session = self.shared.id, ?error, "no room for a reply");
+                return 0;
+            }
+        };
+        let mut header =
+            Header { session: self.shared.id, epoch: self.ground.epoch, ..Header::new(asked.kind) };
+        header.request = asked.request;
+        header.flags = asked.flags;
+        let result = self.carry_out(&asked, request.payload(), response.payload_mut());
+        let steps = match result {
+            Ok(rows) => {
+                header.rows = rows as u32;
+                rows as u64
+            }
+            Err(refusal) => {
+                header.status = refusal.code as u32;
+                let encoded = control::encode(&refusal, response.payload_mut());
+                header.length = encoded.unwrap_or(0) as u32;
+                0
+            }
+        };
+        *response.user_header_mut() = header;
+        if let Err(error) = response.send() {
+            tracing::debug!(session = self.shared.id, ?error, "a reply was not delivered");
+        }
+        self.reply_bell.notify_with_custom_event_id(EventId::new(0)).ok();
+        steps
+    }
+
+    fn carry_out(
+        &mut self,
+        asked: &Header,
+        payload: &[u8],
+        reply: &mut [u8],
+    ) -> Result<usize, Rejection> {
+        desk::check_header(asked)?;
+        let malformed = |field: &str, value: u64, allowed: String| {
+            Rejection::new(Code::Malformed, field, value, allowed)
+        };
+        if (asked.epoch, asked.session) != (self.ground.epoch, self.shared.id) {
+            return Err(Rejection::new(
+                Code::StaleSession,
+                "session",
+                format!("{} of run {:016x}", asked.session, asked.epoch),
+                format!("this is {} of run {:016x}", self.shared.id, self.ground.epoch),
+            ));
+        }
+        let rows = asked.rows as usize;
+        if !(1..=self.shared.envs as usize).contains(&rows) {
+            let allowed = format!("allowed is 1 to {}", self.shared.envs);
+            return Err(malformed("header.rows", rows as u64, allowed));
+        }
+        if payload.len() < self.request_layout.bytes {
+            let allowed = format!("expected {} bytes", self.request_layout.bytes);
+            return Err(malformed("payload", payload.len() as u64, allowed));
+        }
+        let Inbox { env_ids, actions, seeds } = &mut self.inbox;
+        let layout = &self.request_layout;
+        env_ids[..rows].copy_from_slice(layout.env_ids.view(payload, rows));
+        let deed = match asked.kind {
+            kind::STEP => {
+                let sent: &[f32] = layout.actions.view(payload, rows);
+                actions[..sent.len()].copy_from_slice(sent);
+                Deed::Step(&actions[..sent.len()])
+            }
+            kind::RESET if asked.flags & flag::HAS_SEEDS != 0 => {
+                seeds[..rows].copy_from_slice(layout.seeds.view(payload, rows));
+                Deed::Reset(Some(&seeds[..rows]))
+            }
+            kind::RESET => Deed::Reset(None),
+            other => {
+                let allowed = format!("allowed are {} (reset), {} (step)", kind::RESET, kind::STEP);
+                return Err(malformed("header.kind", other.into(), allowed));
+            }
+        };
+        let want_expert = asked.flags & flag::WANT_EXPERT != 0;
+        let out = Rows::of(&self.reply_layout, reply, rows);
+        self.batch.apply(deed, &env_ids[..rows], want_expert, out, &self.ground.scheduler)?;
+        Ok(rows)
+    }
+
+    fn note(&self, start: Instant, steps: u64) {
+        self.shared.pace.lock().unwrap_or_else(PoisonError::into_inner).note(start, steps);
+    }
+}
+
+impl Pace {
+    /// Latencies beyond a minute count as a minute.
+    const LONGEST_US: u64 = 60_000_000;
+
+    /// Span over which steps per second are counted.
+    const WINDOW: Duration = Duration::from_secs(1);
+
+    fn new() -> Self {
+        Self {
+            latency: Histogram::new_with_max(Self::LONGEST_US, 2).expect("2 digits are allowed"),
+            window_start: Instant::now(),
+            window_steps: 0,
+            steps_per_second: 0.0,
+        }
+    }
+
+    fn note(&mut self, start: Instant, steps: u64) {
+        self.latency.saturating_record(start.elapsed().as_micros() as u64);
+        self.window_steps += steps;
+        let span = self.window_start.elapsed();
+        if span >= Self::WINDOW {
+            self.steps_per_second = self.window_steps as f64 / span.as_secs_f64();
+            self.window_start = Instant::now();
+            self.window_steps = 0;
+        }
+    }
+
+    /// The rate of the last full window, or of the present one where that says more.
+    fn steps_per_second(&self) -> f64 {
+        let span = self.window_start.elapsed();
+        if span >= Self::WINDOW || self.steps_per_second == 0.0 {
+            return self.window_steps as f64 / span.as_secs_f64().max(1e-3);
+        }
+        self.steps_per_second
+    }
+}
+
+fn service_name(name: &str) -> ServiceName {
+    name.try_into().expect("names of services are short")
+}
+
+fn internal<E: std::fmt::Debug>(what: &'static str) -> impl FnOnce(E) -> Rejection {
+    move |error| Rejection::new(Code::Internal, what, format!("{error:?}"), "see the server's log")
+}

@@ -1,0 +1,184 @@
+//! Poses and boxes in metres and f64, and their conversion to the engine's scaled f32.
+//!
+//! Frames are named in the code: `world_from_tip` takes coordinates in the tip frame to
+//! coordinates in the world, so that `world_from_base * base_from_tip` checks itself.
+
+use nalgebra::{Isometry3, Point3, Rotation3, Translation3, UnitQuaternion, Vector3};
+use rapier3d::math::{Pose as EnginePose, Rotation as EngineRotation, Vector as EngineVector};
+
+/// A rigid transform, translation in m.
+pub type Pose = Isometry3<f64>;
+
+/// Engine lengths per metre. Contacts of millimetre-sized parts fail in the engine's narrow phase
+/// below a factor of 5; 10 held in every trial.
+pub(super) const SCALE: f64 = 10.0;
+
+/// The pose at `position` (m) with the orientation of extrinsic XYZ Euler angles (rad), that is
+/// Rz(yaw)·Ry(pitch)·Rx(roll).
+pub fn pose(position: [f64; 3], roll_pitch_yaw: [f64; 3]) -> Pose {
+    let [roll, pitch, yaw] = roll_pitch_yaw;
+    Isometry3::from_parts(
+        Translation3::from(Vector3::from(position)),
+        UnitQuaternion::from_euler_angles(roll, pitch, yaw),
+    )
+}
+
+/// The extrinsic XYZ Euler angles (roll, pitch, yaw) of a rotation, rad: R = Rz(yaw)·Ry(pitch)·Rx(roll),
+/// roll and yaw in [−π, π], pitch in [−π/2, π/2].
+pub fn euler_xyz(rotation: &UnitQuaternion<f64>) -> [f64; 3] {
+    let matrix: Rotation3<f64> = rotation.to_rotation_matrix();
+    let (roll, pitch, yaw) = matrix.euler_angles();
+    [roll, pitch, yaw]
+}
+
+/// Moves from `start` (0) to `end` (1): straight in position, along the shorter arc in rotation.
+pub fn interpolate(start: &Pose, end: &Pose, fraction: f64) -> Pose {
+    let translation = start.translation.vector.lerp(&end.translation.vector, fraction);
+    let rotation = start
+        .rotation
+        .try_slerp(&end.rotation, fraction, 1e-12)
+        .unwrap_or(start.rotation); // half a turn in one step: there is no shorter arc
+    Isometry3::from_parts(translation.into(), rotation)
+}
+
+/// An axis-aligned box, m.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Aabb {
+    /// Corner with the smallest coordinates.
+    pub min: Vector3<f64>,
+    /// Corner with the largest coordinates.
+    pub max: Vector3<f64>,
+}
+
+impl Aabb {
+    /// The box from `min` to `max`, m.
+    pub const fn new(min: [f64; 3], max: [f64; 3]) -> Self {
+        let [x, y, z] = min;
+        let min = Vector3::new(x, y, z);
+        let [x, y, z] = max;
+        Self { min, max: Vector3::new(x, y, z) }
+    }
+
+    /// The smallest box around `points`; inside out where there are none.
+    pub fn around(points: impl IntoIterator<Item = Point3<f64>>) -> Self {
+        let empty = Self::new([f64::INFINITY; 3], [f64::NEG_INFINITY; 3]);
+        points.into_iter().fold(empty, |aabb, point| Self {
+            min: aabb.min.inf(&point.coords),
+            max: aabb.max.sup(&point.coords),
+        })
+    }
+
+    /// The smallest box around both.
+    #[must_use]
+    pub fn merged(&self, other: &Self) -> Self {
+        Self { min: self.min.inf(&other.min), max: self.max.sup(&other.max) }
+    }
+
+    /// The box with every face moved outwards by `margin`, m.
+    #[must_use]
+    pub fn grown(&self, margin: f64) -> Self {
+        let margin = Vector3::repeat(margin);
+        Self { min: self.min - margin, max: self.max + margin }
+    }
+
+    /// Whether the boxes have a point in common.
+    pub fn meets(&self, other: &Self) -> bool {
+        (0..3).all(|axis| self.min[axis] <= other.max[axis] && other.min[axis] <= self.max[axis])
+    }
+
+    /// The middle.
+    pub fn centre(&self) -> Vector3<f64> {
+        (self.min + self.max) * 0.5
+    }
+
+    /// The nearest point of the box.
+    pub fn clamp(&self, point: &Vector3<f64>) -> Vector3<f64> {
+        point.sup(&self.min).inf(&self.max)
+    }
+
+    /// The eight corners.
+    pub fn corners(&self) -> impl Iterator<Item = Point3<f64>> + use<> {
+        let bounds = [self.min, self.max];
+        (0..8).map(move |index: usize| {
+            let along = |axis: usize| bounds[index >> axis & 1][axis];
+            Point3::new(along(0), along(1), along(2))
+        })
+    }
+}
+
+/// A vector in m (or m/s, …) as the engine's.
+pub(super) fn to_engine_vector(vector: &Vector3<f64>) -> EngineVector {
+    let scaled = vector * SCALE;
+    EngineVector::new(scaled.x as f32, scaled.y as f32, scaled.z as f32)
+}
+
+/// The engine's vector in m (or m/s, …).
+pub(super) fn from_engine_vector(vector: EngineVector) -> Vector3<f64> {
+    Vector3::new(f64::from(vector.x), f64::from(vector.y), f64::from(vector.z)) / SCALE
+}
+
+/// A pose as the engine's.
+pub(super) fn to_engine(pose: &Pose) -> EnginePose {
+    let r = pose.rotation.coords;
+    let rotation = EngineRotation::from_xyzw(r.x as f32, r.y as f32, r.z as f32, r.w as f32);
+    EnginePose::from_parts(to_engine_vector(&pose.translation.vector), rotation.normalize())
+}
+
+/// The engine's pose in m.
+pub(super) fn from_engine(pose: &EnginePose) -> Pose {
+    let r = pose.rotation;
+    let rotation = nalgebra::Quaternion::new(r.w.into(), r.x.into(), r.y.into(), r.z.into());
+    Isometry3::from_parts(
+        from_engine_vector(pose.translation).into(),
+        UnitQuaternion::from_quaternion(rotation),
+    )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn euler_angles_make_the_rotation_they_came_from() {
+        let angles = [-1.2, 0.4, 2.5];
+        let rotation = pose([0.0; 3], angles).rotation;
+        for (found, expected) in euler_xyz(&rotation).iter().zip(angles) {
+            assert!((found - expected).abs() < 1e-12);
+        }
+        let x = Rotation3::from_axis_angle(&Vector3::x_axis(), angles[0]);
+        let y = Rotation3::from_axis_angle(&Vector3::y_axis(), angles[1]);
+        let z = Rotation3::from_axis_angle(&Vector3::z_axis(), angles[2]);
+        assert!((z * y * x).angle_to(&rotation.to_rotation_matrix()) < 1e-12);
+    }
+
+    #[test]
+    fn the_engine_gets_scaled_lengths_and_gives_back_metres() {
+        let there = pose([0.55, -0.02, 0.68], [0.1, -0.2, 0.3]);
+        let engine = to_engine(&there);
+        assert!((engine.translation.x - 5.5).abs() < 1e-6);
+        let back = from_engine(&engine);
+        assert!((back.translation.vector - there.translation.vector).norm() < 1e-7);
+        assert!(back.rotation.angle_to(&there.rotation) < 1e-6);
+    }
+
+    #[test]
+    fn interpolation_starts_and_ends_at_its_ends() {
+        let start = pose([0.0; 3], [0.0, 0.0, 3.0]);
+        let end = pose([0.1, 0.0, 0.0], [0.0, 0.0, -3.0]);
+        assert!(interpolate(&start, &end, 0.0).rotation.angle_to(&start.rotation) < 1e-9);
+        assert!(interpolate(&start, &end, 1.0).rotation.angle_to(&end.rotation) < 1e-9);
+        let middle = interpolate(&start, &end, 0.5);
+        assert!((middle.translation.x - 0.05).abs() < 1e-15);
+        // The shorter arc leads through π, not through 0.
+        assert!((middle.rotation.angle() - std::f64::consts::PI).abs() < 1e-9);
+    }
+
+    #[test]
+    fn boxes_meet_and_clamp() {
+        let aabb = Aabb::new([0.0; 3], [1.0; 3]);
+        assert!(aabb.meets(&aabb.grown(-0.4)));
+        assert!(!aabb.meets(&Aabb::new([1.1, 0.0, 0.0], [2.0; 3])));
+        assert_eq!(aabb.clamp(&Vector3::new(2.0, 0.5, -1.0)), Vector3::new(1.0, 0.5, 0.0));
+        assert_eq!(Aabb::around(aabb.corners()), aabb);
+    }
+}

@@ -1,0 +1,202 @@
+//! What is learnt: one file per task, and the registry from which everything else takes its list.
+//!
+//! | task | in one line |
+//! |---|---|
+//! | [`needle_reach`] | the closed jaw tip of a PSM goes to a point just above a needle |
+//! | [`ecm_reach`] | the endoscope goes to a position |
+//!
+//! A task of one's own implements [`Task`] and is added by [`Registry::register`].
+
+use trocar_proto::spec::OptionSpec;
+use trocar_proto::{Code, Options, Rejection, TaskSpec};
+
+use crate::env::Env;
+use crate::sim::random::Rng;
+use crate::sim::world::World;
+
+pub mod ecm_reach;
+pub mod ecm_scene;
+pub mod needle_reach;
+pub mod options;
+pub mod psm_scene;
+
+/// A task: what it looks like from outside, how an episode begins, what an action does, what is
+/// seen. Counting steps, the time limit, checking actions, goal rewards and randomisation that is
+/// the same for every task are [`Env`]'s.
+pub trait Task: Clone + Send + Sync + 'static {
+    /// Name with version, e.g. `NeedleReach-v0`.
+    const ID: &'static str;
+
+    /// The options that it knows.
+    fn options() -> Vec<OptionSpec>;
+
+    /// The task and its prepared world under `options`, in which every option of
+    /// [`Self::options`] has an allowed value.
+    fn new(options: &Options) -> Result<(Self, World), Rejection>;
+
+    /// What it looks like from outside; it never changes.
+    fn spec(&self) -> TaskSpec;
+
+    /// Begins an episode in a copy of the prepared world.
+    fn reset(&mut self, world: &mut World, rng: &mut Rng);
+
+    /// Lets one step pass under `action`, numbers in [−1, 1]; `None` where no command has arrived
+    /// yet: then the arms hold.
+    fn apply(&mut self, world: &mut World, action: Option<&[f32]>);
+
+    /// Writes observation, achieved and desired goal, of the specification's dimensions.
+    fn observe(
+        &self,
+        world: &World,
+        observation: &mut [f32],
+        achieved: &mut [f32],
+        desired: &mut [f32],
+    );
+
+    /// Writes what a scripted expert would do now.
+    fn expert(&self, world: &World, action: &mut [f32]);
+
+    /// The reward of tasks without goals; goal tasks get theirs from the goals.
+    fn reward(&self, world: &World) -> f32 {
+        let _ = world;
+        0.0
+    }
+
+    /// Whether the episode ended in a terminal state.
+    fn terminated(&self, world: &World) -> bool {
+        let _ = world;
+        false
+    }
+}
+
+/// The tasks that can be made, by id.
+pub struct Registry(Vec<Entry>);
+
+struct Entry {
+    id: &'static str,
+    options: fn() -> Vec<OptionSpec>,
+    make: fn(&Options) -> Result<(Box<dyn AnyTask>, World), Rejection>,
+}
+
+impl Registry {
+    /// Trocar's tasks.
+    pub fn builtin() -> Self {
+        let mut registry = Self::empty();
+        registry.register::<needle_reach::NeedleReach>();
+        registry.register::<ecm_reach::EcmReach>();
+        registry
+    }
+
+    /// No tasks.
+    pub fn empty() -> Self {
+        Self(Vec::new())
+    }
+
+    /// Adds a task, in place of one that has its id.
+    pub fn register<T: Task>(&mut self) {
+        self.0.retain(|entry| entry.id != T::ID);
+        self.0.push(Entry {
+            id: T::ID,
+            options: T::options,
+            make: |options| T::new(options).map(|(task, world)| (Box::new(task) as _, world)),
+        });
+    }
+
+    /// The ids in order of registration.
+    pub fn ids(&self) -> impl Iterator<Item = &str> {
+        self.0.iter().map(|entry| entry.id)
+    }
+
+    /// The task `id` under `options`.
+    pub fn spec(&self, id: &str, options: &Options) -> Result<TaskSpec, Rejection> {
+        let (task, _, _) = self.build(id, options)?;
+        Ok(task.spec())
+    }
+
+    /// An environment of the task `id` under `options`; it needs a reset.
+    pub fn make(&self, id: &str, options: &Options) -> Result<Env, Rejection> {
+        let (task, world, options) = self.build(id, options)?;
+        let domain = options::Domain::of(&options)?;
+        Ok(Env::new(task, world, domain))
+    }
+
+    fn build(
+        &self,
+        id: &str,
+        options: &Options,
+    ) -> Result<(Box<dyn AnyTask>, World, Options), Rejection> {
+        let Some(entry) = self.0.iter().find(|entry| entry.id == id) else {
+            let ids: Vec<_> = self.ids().collect();
+            let allowed = format!("unknown task; this server knows {ids:?}");
+            return Err(Rejection::new(Code::UnknownTask, "task", format!("{id:?}"), allowed));
+        };
+        let allowed = (entry.options)();
+        let options = options::with_preset(options, &allowed).resolve(&allowed)?;
+        let (task, world) = (entry.make)(&options)?;
+        Ok((task, world, options))
+    }
+}
+
+/// [`Task`] behind a pointer.
+pub(crate) trait AnyTask: Send + Sync {
+    fn spec(&self) -> TaskSpec;
+    fn reset(&mut self, world: &mut World, rng: &mut Rng);
+    fn apply(&mut self, world: &mut World, action: Option<&[f32]>);
+    fn observe(
+        &self,
+        world: &World,
+        observation: &mut [f32],
+        achieved: &mut [f32],
+        desired: &mut [f32],
+    );
+    fn expert(&self, world: &World, action: &mut [f32]);
+    fn reward(&self, world: &World) -> f32;
+    fn terminated(&self, world: &World) -> bool;
+    fn boxed_clone(&self) -> Box<dyn AnyTask>;
+}
+
+impl<T: Task> AnyTask for T {
+    fn spec(&self) -> TaskSpec {
+        Task::spec(self)
+    }
+
+    fn reset(&mut self, world: &mut World, rng: &mut Rng) {
+        Task::reset(self, world, rng);
+    }
+
+    fn apply(&mut self, world: &mut World, action: Option<&[f32]>) {
+        Task::apply(self, world, action);
+    }
+
+    fn observe(
+        &self,
+        world: &World,
+        observation: &mut [f32],
+        achieved: &mut [f32],
+        desired: &mut [f32],
+    ) {
+        Task::observe(self, world, observation, achieved, desired);
+    }
+
+    fn expert(&self, world: &World, action: &mut [f32]) {
+        Task::expert(self, world, action);
+    }
+
+    fn reward(&self, world: &World) -> f32 {
+        Task::reward(self, world)
+    }
+
+    fn terminated(&self, world: &World) -> bool {
+        Task::terminated(self, world)
+    }
+
+    fn boxed_clone(&self) -> Box<dyn AnyTask> {
+        Box::new(self.clone())
+    }
+}
+
+impl Clone for Box<dyn AnyTask> {
+    fn clone(&self) -> Self {
+        self.as_ref().boxed_clone()
+    }
+}

@@ -1,0 +1,298 @@
+//! Needle reach: the closed jaw tip of a PSM goes to a point just above a needle.
+//!
+//! # Description
+//!
+//! A needle of 40 mm lies on a pad in a tray. The tip of PSM1's closed jaws, which points straight
+//! down, must come within 5 mm of a point 5 mm above the middle of the needle's arc. The needle is
+//! a real object: the instrument can push it, and the goal stays where it was.
+//!
+//! # Action Space
+//!
+//! `action = "paper"`, each number in [−1, 1]; the other modes are in [`psm_scene`](super::psm_scene).
+//!
+//! | Num | Meaning | Min | Max | Unit |
+//! |---|---|---|---|---|
+//! | 0 | dx, scene frame | −1 | 1 | 10 mm |
+//! | 1 | dy, scene frame | −1 | 1 | 10 mm |
+//! | 2 | dz, scene frame | −1 | 1 | 10 mm |
+//! | 3 | ignored (turn in other tasks) | −1 | 1 | – |
+//! | 4 | ignored (jaw in other tasks) | −1 | 1 | – |
+//!
+//! The movement starts from the sensed wrist, takes 0.2 s along a smooth profile, and is confined
+//! to the workspace: see [`psm_scene`](super::psm_scene). The jaws stay closed in every mode.
+//!
+//! # Observation Space
+//!
+//! | Num | Meaning | Min | Max | Unit |
+//! |---|---|---|---|---|
+//! | 0 | wrist x (wrist-yaw axis, as sensed), scene frame | 0.495 | 0.605 | m |
+//! | 1 | wrist y | −0.055 | 0.055 | m |
+//! | 2 | wrist z | 0.6842 | 0.7722 | m |
+//! | 3 | roll of the wrist link; −π/2 under `paper` | −π | π | rad |
+//! | 4 | pitch; 0 under `paper` | −π/2 | π/2 | rad |
+//! | 5 | yaw; π/2 under `paper` | −π | π | rad |
+//! | 6 | jaw angle; always 0 | −0.1 | 1 | rad |
+//!
+//! The angles are extrinsic XYZ Euler angles, R = Rz(yaw)·Ry(pitch)·Rx(roll), of the wrist-yaw link,
+//! whose y axis points along the jaws and whose z axis is their hinge. Achieved goal: the true tip
+//! (x, y, z, m), 10.2 mm from the wrist; desired goal: the point above the needle. Both ignore
+//! `domain`'s noise and encoder errors.
+//!
+//! # Rewards
+//!
+//! `sparse` (default): 0 where the goals are less than 5 mm apart, −1 otherwise. `dense`: minus
+//! their distance, m. Both are functions of the goals alone.
+//!
+//! # Starting State
+//!
+//! The wrist at the corner (0.50, 0.05, 0.7552) m, jaws closed and straight down. The needle lies
+//! flat, turned by up to ±90°. `spawn = "workspace"`: anywhere wholly on the part of the pad that
+//! lies in the 10 cm workspace. `spawn = "narrow"`: the centre of its circle within ±10 mm of the
+//! workspace's centre.
+//!
+//! # Episode End
+//!
+//! Truncated after 50 steps; never terminated.
+//!
+//! # Options
+//!
+//! `reward`, `action`, `observation`, `spawn`, and:
+//!
+//! - `preset = "surrol"`: positions, goals and tolerance in units of 0.2 m (metres × 5), needle of
+//!   10 g, `spawn = "narrow"` unless given.
+//! - `domain`: `observation_noise` (m, on observed positions), `joint_offset` (rad, on every rotary
+//!   joint), `latency` (steps; the arm holds until the first action arrives).
+//! - `setup`: `base` (x, y, z in m and turn in rad of the arm's base), `table_height` (m). The arm
+//!   must reach the whole workspace.
+//!
+//! # Differences from the original
+//!
+//! - Metres instead of metres × 5; the needle's area follows the paper (`narrow` is the code's).
+//! - The needle weighs 0.36 g (steel) instead of 10 g and lies at rest from the first step.
+//! - dVRK's joint limits; the jaws stay above the pad instead of running into it.
+//! - An instrument that would crush the needle yields.
+//! - Seeds determine the episode.
+//!
+//! # Version History
+//!
+//! - v0: first version.
+
+use nalgebra::Vector3;
+use trocar_proto::goal::SuccessRule;
+use trocar_proto::spec::{GoalSpec, OptionSpec};
+use trocar_proto::{Options, Rejection, TaskSpec};
+
+use super::Task;
+use super::options::{self, Preset};
+use super::psm_scene::{
+    self, MAX_STEPS, Needle, PaperAction, PsmArm, REACH, SECONDS_PER_STEP, STEP_LENGTH, WORKSPACE,
+};
+use crate::sim::frames::Pose;
+use crate::sim::instrument::{JAW_CLOSED, TIP_OFFSET};
+use crate::sim::random::Rng;
+use crate::sim::world::{Solver, World};
+
+/// Height of the goal above the middle of the needle, m. Source: the original.
+const GOAL_HEIGHT: f64 = 0.005;
+
+/// Distance below which the goal is reached, m. Source: the paper.
+const TOLERANCE: f64 = 0.005;
+
+/// `spawn = "narrow"`: how far the needle's circle is from the workspace's centre, m.
+const NARROW: f64 = 0.01;
+
+/// The expert rests within this distance of the goal, m, and moves by this part of a full action.
+/// Source: the original.
+const EXPERT_TOLERANCE: f64 = 0.003;
+const EXPERT_SPEED: f64 = 0.3;
+
+/// The task; see the module's description.
+#[derive(Debug, Clone)]
+pub struct NeedleReach {
+    arm: PsmArm,
+    needle: Needle,
+    narrow: bool,
+    preset: Preset,
+    reward: trocar_proto::goal::Reward,
+    goal: Vector3<f64>,
+}
+
+impl Task for NeedleReach {
+    const ID: &'static str = "NeedleReach-v0";
+
+    fn options() -> Vec<OptionSpec> {
+        vec![
+            options::reward(),
+            options::action(),
+            options::observation(),
+            options::preset(),
+            options::spawn(),
+            options::domain(),
+            options::setup(&PsmArm::setup_rows()),
+        ]
+    }
+
+    fn new(options: &Options) -> Result<(Self, World), Rejection> {
+        let preset = options::preset_of(options);
+        let mut world = World::new(match preset {
+            Preset::Paper => Solver::LIGHT,
+            Preset::Surrol => Solver::HEAVY,
+        });
+        psm_scene::insert_tray_and_pad(&mut world);
+        let needle = Needle::insert(&mut world, preset);
+        let paper = PaperAction { turns: false, jaw: false };
+        let start = [WORKSPACE.min.x, WORKSPACE.max.y, WORKSPACE.max.z + TIP_OFFSET];
+        let task = Self {
+            arm: PsmArm::insert(&mut world, options, paper, start, psm_scene::pad().max.z)?,
+            needle,
+            narrow: options.text("spawn") == Some("narrow"),
+            preset,
+            reward: options::reward_of(options),
+            goal: Vector3::zeros(),
+        };
+        Ok((task, world))
+    }
+
+    fn spec(&self) -> TaskSpec {
+        // The tip of jaws in any direction from a wrist within its reach.
+        let tip = REACH.grown(TIP_OFFSET + 1e-3);
+        let tolerance = TOLERANCE * options::position_scale(self.preset);
+        TaskSpec {
+            id: Self::ID.into(),
+            summary: "Move the closed jaw tip to a point just above a needle.".into(),
+            max_steps: MAX_STEPS,
+            seconds_per_step: SECONDS_PER_STEP,
+            action: self.arm.action_elements(),
+            observation: self.arm.observation_elements(),
+            goal: Some(GoalSpec {
+                elements: options::position_elements("tip", "scene", &tip, self.preset),
+                success: SuccessRule::Distance { tolerance: tolerance as f32 },
+            }),
+            reward: self.reward,
+            options: Self::options(),
+        }
+    }
+
+    fn reset(&mut self, world: &mut World, rng: &mut Rng) {
+        if self.narrow {
+            let centre = WORKSPACE.centre();
+            let x = centre.x + rng.uniform(-NARROW, NARROW);
+            let y = centre.y + rng.uniform(-NARROW, NARROW);
+            let yaw = rng.uniform(-std::f64::consts::FRAC_PI_2, std::f64::consts::FRAC_PI_2);
+            self.needle.lay(world, x, y, yaw);
+        } else {
+            self.needle.lay_anywhere(world, rng);
+        }
+        self.goal = self.needle.middle(world) + Vector3::z() * GOAL_HEIGHT;
+        self.arm.reset(rng);
+    }
+
+    fn apply(&mut self, world: &mut World, action: Option<&[f32]>) {
+        self.arm.apply(world, action);
+    }
+
+    fn observe(
+        &self,
+        _: &World,
+        observation: &mut [f32],
+        achieved: &mut [f32],
+        desired: &mut [f32],
+    ) {
+        self.arm.observe(observation);
+        let scale = options::position_scale(self.preset);
+        let tip = self.arm.tip();
+        for axis in 0..3 {
+            achieved[axis] = (tip[axis] * scale) as f32;
+            desired[axis] = (self.goal[axis] * scale) as f32;
+        }
+    }
+
+    fn expert(&self, _: &World, action: &mut [f32]) {
+        let error = self.goal - self.arm.tip();
+        let step = if error.norm() < EXPERT_TOLERANCE {
+            Vector3::zeros()
+        } else {
+            error * (EXPERT_SPEED * STEP_LENGTH / error.amax())
+        };
+        let target = Pose::from(step) * self.arm.scene_from_wrist();
+        self.arm.encode(&target, JAW_CLOSED, action);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::assets::Model;
+    use crate::sim::frames::Aabb;
+
+    #[test]
+    fn the_goal_is_above_a_needle_that_lies_wholly_on_pad_and_workspace() {
+        let options = Options::new().resolve(&NeedleReach::options()).unwrap();
+        let (mut task, mut world) = NeedleReach::new(&options).unwrap();
+        let (mut low, mut high) = (f64::INFINITY, f64::NEG_INFINITY);
+        for seed in 0..500 {
+            task.reset(&mut world, &mut Rng::new(seed, 0));
+            let middle = task.needle.middle(&world);
+            assert!((task.goal - middle - Vector3::new(0.0, 0.0, 0.005)).norm() < 1e-12);
+            assert!((middle.z - psm_scene::pad().max.z - 0.5e-3).abs() < 1e-6);
+            assert!(WORKSPACE.meets(&Aabb::around([middle.into()])));
+            low = low.min(middle.x);
+            high = high.max(middle.x);
+        }
+        assert!(low < 0.505 && high > 0.575, "{low} to {high}");
+    }
+
+    /// An arm that presses on the needle, pushes it about and sweeps over it, for 20,000 steps.
+    #[test]
+    fn the_needle_is_never_pressed_through_the_pad_nor_shot_away() {
+        /// Fastest that the needle may become, m/s: ten times the instrument.
+        const FASTEST: f64 = 1.5;
+        for mode in ["paper", "cartesian"] {
+            let options = Options::new().with_text("action", mode);
+            let options = options.resolve(&NeedleReach::options()).unwrap();
+            let (mut task, prepared) = NeedleReach::new(&options).unwrap();
+            let mut actions = Rng::new(17, 0);
+            let mut action = vec![0.0; task.spec().action_dim()];
+            let (mut lowest, mut fastest, mut touched) = (f64::INFINITY, 0.0_f64, 0);
+            for episode in 0..200 {
+                let mut world = prepared.clone();
+                task.reset(&mut world, &mut Rng::new(episode, 0));
+                let laid = world.pose(task.needle.body());
+                for _ in 0..50 {
+                    for number in &mut action {
+                        *number = actions.uniform(-1.0, 1.0) as f32;
+                    }
+                    if actions.unit() < 0.7 {
+                        let needle = world.pose(task.needle.body());
+                        let parts = &Model::needle().parts;
+                        let part = parts[actions.index(parts.len())].body_from_part;
+                        let to = (needle * part).translation.vector - task.arm.tip();
+                        let down = if to.xy().norm() < 0.003 { -0.01 } else { to.z };
+                        let to = Vector3::new(to.x, to.y, down) / STEP_LENGTH;
+                        for axis in 0..3 {
+                            action[axis] = to[axis].clamp(-1.0, 1.0) as f32;
+                        }
+                    }
+                    Task::apply(&mut task, &mut world, Some(&action));
+                    let needle = world.pose(task.needle.body());
+                    let height = needle.translation.z - psm_scene::pad().max.z;
+                    let outline = Model::needle().aabb(&needle);
+                    let on_pad = psm_scene::pad().grown(-0.003).meets(&Aabb {
+                        min: Vector3::new(outline.min.x, outline.min.y, psm_scene::pad().min.z),
+                        max: outline.max,
+                    });
+                    if on_pad {
+                        lowest = lowest.min(height);
+                    }
+                    fastest = fastest.max(world.velocity(task.needle.body()).norm());
+                    assert!(world.is_finite());
+                }
+                touched += usize::from(world.pose(task.needle.body()) != laid);
+            }
+            eprintln!("{mode}: lowest {lowest}, fastest {fastest}, touched {touched}");
+            assert!(lowest > -0.5e-3, "{mode}: {lowest}");
+            assert!(fastest < FASTEST, "{mode}: {fastest}");
+            assert!(touched > 150, "{mode}: {touched}");
+        }
+    }
+}

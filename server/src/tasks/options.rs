@@ -1,0 +1,245 @@
+//! Options that several tasks share: what they accept, and their values as types.
+
+use std::collections::BTreeMap;
+
+use trocar_proto::goal::Reward;
+use trocar_proto::spec::{Allowed, Element, OptionSpec, OptionValue, RowSpec};
+use trocar_proto::{Code, Options, Rejection};
+
+use crate::sim::frames::Aabb;
+use crate::sim::random::Rng;
+
+/// Unit of positions under `preset = "surrol"`, which multiplies metres by 5.
+pub const SCALED_LENGTH: &str = "0.2 m";
+
+/// How many of [`SCALED_LENGTH`] make a metre.
+pub const SCALED_LENGTHS_PER_METRE: f64 = 5.0;
+
+/// `reward`: sparse or dense.
+pub fn reward() -> OptionSpec {
+    OptionSpec::choice(
+        "reward",
+        "sparse: 0 on success, -1 otherwise; dense: minus the distance of the goals.",
+        &["sparse", "dense"],
+    )
+}
+
+/// The reward that resolved options ask for.
+pub fn reward_of(options: &Options) -> Reward {
+    if options.text("reward") == Some("dense") { Reward::Dense } else { Reward::Sparse }
+}
+
+/// What the numbers of an action mean.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum ActionMode {
+    /// The paper's few degrees of freedom.
+    Paper,
+    /// Increments of the whole pose.
+    Cartesian,
+    /// A pose to go to.
+    CartesianAbs,
+    /// Increments of the joints.
+    Joint,
+}
+
+/// `action`: what the numbers of an action mean.
+pub fn action() -> OptionSpec {
+    OptionSpec::choice(
+        "action",
+        "paper: the original's increments; cartesian: increments of the whole pose; \
+         cartesian_abs: a pose to go to; joint: increments of the joints.",
+        &["paper", "cartesian", "cartesian_abs", "joint"],
+    )
+}
+
+/// The action mode that resolved options ask for.
+pub fn action_of(options: &Options) -> ActionMode {
+    match options.text("action") {
+        Some("cartesian") => ActionMode::Cartesian,
+        Some("cartesian_abs") => ActionMode::CartesianAbs,
+        Some("joint") => ActionMode::Joint,
+        _ => ActionMode::Paper,
+    }
+}
+
+/// `observation`: which observations a step returns.
+pub fn observation() -> OptionSpec {
+    OptionSpec {
+        name: "observation".into(),
+        summary: "What a step returns; state is the vector described by the task.".into(),
+        default: OptionValue::Texts(vec!["state".into()]),
+        allowed: Allowed::SomeOf(vec!["state".into()]),
+    }
+}
+
+/// Whose numbers a task uses where paper and original code differ.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Preset {
+    /// The paper's.
+    Paper,
+    /// The original code's, for policies that were trained there.
+    Surrol,
+}
+
+/// `preset`: whose numbers a task uses.
+pub fn preset() -> OptionSpec {
+    OptionSpec::choice(
+        "preset",
+        "paper: the paper's numbers in metres; surrol: the original code's, for its policies.",
+        &["paper", "surrol"],
+    )
+}
+
+/// The preset that resolved options ask for.
+pub fn preset_of(options: &Options) -> Preset {
+    if options.text("preset") == Some("surrol") { Preset::Surrol } else { Preset::Paper }
+}
+
+/// `spawn`: where objects and goals appear.
+pub fn spawn() -> OptionSpec {
+    OptionSpec::choice(
+        "spawn",
+        "workspace: anywhere in the 10 cm workspace; narrow: the original's 20 mm area.",
+        &["workspace", "narrow"],
+    )
+}
+
+/// What a preset changes of other options' defaults: what the client gives itself counts.
+const PRESETS: [(&str, &str, &str); 1] = [("surrol", "spawn", "narrow")];
+
+/// `options` with the defaults that their preset brings, as far as the task knows them.
+pub(super) fn with_preset(options: &Options, known: &[OptionSpec]) -> Options {
+    let mut options = options.clone();
+    for (preset, name, value) in PRESETS {
+        let applies = options.text("preset") == Some(preset)
+            && known.iter().any(|option| option.name == name);
+        if applies && !options.0.contains_key(name) {
+            options = options.with_text(name, value);
+        }
+    }
+    options
+}
+
+/// `setup`: where things stand; `rows` are those that apply to the task.
+pub fn setup(rows: &[RowSpec]) -> OptionSpec {
+    OptionSpec {
+        name: "setup".into(),
+        summary: "Where things stand. Actions and state stay in the nominal frame, so a policy \
+                  keeps working."
+            .into(),
+        default: OptionValue::Table(BTreeMap::new()),
+        allowed: Allowed::Table(rows.to_vec()),
+    }
+}
+
+/// A refusal of the row `row` of `setup`.
+pub fn refuse_setup(options: &Options, why: impl Into<String>) -> Rejection {
+    let given = options.0.get("setup").map_or(String::new(), ToString::to_string);
+    Rejection::new(Code::InvalidOption, "options.setup", given, why)
+}
+
+/// `domain`: ranges from which every episode draws.
+pub fn domain() -> OptionSpec {
+    let row = |name: &str, summary: &str, min: f64, max: f64| RowSpec {
+        name: name.into(),
+        summary: summary.into(),
+        count: 2,
+        min,
+        max,
+    };
+    OptionSpec {
+        name: "domain".into(),
+        summary: "Ranges [low, high] from which every episode draws.".into(),
+        default: OptionValue::Table(BTreeMap::new()),
+        allowed: Allowed::Table(vec![
+            row("observation_noise", "Standard deviation of observed positions, m.", 0.0, 0.01),
+            row("joint_offset", "Error of each rotary joint's encoder, rad.", -0.02, 0.02),
+            row("latency", "Steps by which actions take effect late (integers).", 0.0, 10.0),
+        ]),
+    }
+}
+
+/// A range from which every episode draws; [0, 0] where none is given.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub struct Range {
+    low: f64,
+    high: f64,
+}
+
+impl Range {
+    /// A number of the range.
+    pub fn draw(&self, rng: &mut Rng) -> f64 {
+        rng.uniform(self.low, self.high)
+    }
+
+    /// An integer of the range, both ends included.
+    pub fn draw_integer(&self, rng: &mut Rng) -> usize {
+        let (low, high) = (self.low.ceil() as usize, self.high.floor() as usize);
+        low + rng.index(high.saturating_sub(low) + 1)
+    }
+}
+
+/// The ranges of `domain`.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub struct Domain {
+    /// Standard deviation of observed positions, m.
+    pub observation_noise: Range,
+    /// Error of each rotary joint's encoder, rad.
+    pub joint_offset: Range,
+    /// Steps by which actions take effect late.
+    pub latency: Range,
+}
+
+impl Domain {
+    /// The ranges that resolved options give.
+    pub fn of(options: &Options) -> Result<Self, Rejection> {
+        let range = |row: &str| match options.row("domain", row) {
+            Some(&[low, high]) if low <= high => Ok(Range { low, high }),
+            Some(numbers) => Err(Rejection::new(
+                Code::InvalidOption,
+                format!("options.domain.{row}"),
+                OptionValue::Numbers(numbers.to_vec()),
+                "[low, high] with low not above high",
+            )),
+            None => Ok(Range::default()),
+        };
+        Ok(Self {
+            observation_noise: range("observation_noise")?,
+            joint_offset: range("joint_offset")?,
+            latency: range("latency")?,
+        })
+    }
+}
+
+/// Elements "`name` x", "`name` y" and "`name` z" of a position in `bounds` (m), in the unit of
+/// `preset`.
+pub fn position_elements(name: &str, frame: &str, bounds: &Aabb, preset: Preset) -> Vec<Element> {
+    let unit = if preset == Preset::Surrol { SCALED_LENGTH } else { "m" };
+    ["x", "y", "z"]
+        .iter()
+        .enumerate()
+        .map(|(axis, letter)| {
+            let bound = |value: f64| (value * position_scale(preset)) as f32;
+            let (min, max) = (bound(bounds.min[axis]), bound(bounds.max[axis]));
+            Element::new(&format!("{name} {letter}"), frame, unit, min, max)
+        })
+        .collect()
+}
+
+/// What positions in metres are multiplied by.
+pub fn position_scale(preset: Preset) -> f64 {
+    if preset == Preset::Surrol { SCALED_LENGTHS_PER_METRE } else { 1.0 }
+}
+
+/// Elements of extrinsic XYZ Euler angles, rad.
+pub fn euler_elements(name: &str, frame: &str) -> Vec<Element> {
+    use std::f32::consts::{FRAC_PI_2, PI};
+    [("roll", PI), ("pitch", FRAC_PI_2), ("yaw", PI)]
+        .map(|(angle, bound)| Element::new(&format!("{name} {angle}"), frame, "rad", -bound, bound))
+        .to_vec()
+}
+
+/// An element of an action, in [−1, 1].
+pub fn action_element(name: &str, frame: &str) -> Element {
+    Element::new(name, frame, "1", -1.0, 1.0)
+}

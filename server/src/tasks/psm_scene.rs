@@ -1,0 +1,591 @@
+//! What the PSM tasks share: where arms, table and pad stand, how actions move an arm, what is
+//! observed of it, and the needle.
+//!
+//! Everything is in the *scene* frame, the original's world: z up, table top nominally at 0.675 m.
+//! Where `setup` moves the base or the table, the arm's base moves in the scene, while workspace,
+//! pad, actions and state stay: a policy keeps working.
+//!
+//! # Actions
+//!
+//! Every action moves from the pose that the joint sensors report. The resulting pose is confined:
+//! the wrist to the workspace and a margin around it ([`REACH`]), the tip to the same box in x and
+//! y, and the height so that the closed jaws stay 0.05 mm above the pad. A pose outside the arm's
+//! joint limits, or one that would take a whole turn of the roll, is not taken: the arm stays
+//! where it is for that step.
+//!
+//! | `action` | numbers (1.0 stands for) |
+//! |---|---|
+//! | `paper` | dx, dy, dz (10 mm), turn about the vertical (30°), jaw (below 0 closed, else open 40°) |
+//! | `cartesian` | dx, dy, dz (10 mm), rotation vector x, y, z in the scene frame (30°), jaw (−1 closed … 1 open 40°) |
+//! | `cartesian_abs` | x, y, z within [`REACH`], rotation vector from jaws straight down (180°), jaw as before; a step goes at most 10 mm along each axis and 30° towards it |
+//! | `joint` | yaw, pitch (0.06 rad), insertion (10 mm), roll, wrist pitch, wrist yaw (30°), jaw as before |
+
+use std::f64::consts::{FRAC_PI_2, PI};
+
+use nalgebra::{Quaternion, Unit, UnitQuaternion, Vector3};
+use trocar_proto::spec::{Element, RowSpec};
+use trocar_proto::{Options, Rejection};
+
+use super::options::{self, ActionMode, Preset, Range};
+use crate::assets::Model;
+use crate::robots::Psm;
+use crate::sim::frames::{self, Aabb, Pose};
+use crate::sim::instrument::{self, Instrument, JAW_CLOSED, JAW_OPEN, Posture, TIP_OFFSET};
+use crate::sim::random::Rng;
+use crate::sim::world::{BodyId, Motion, SUBSTEPS_PER_SECOND, World};
+
+/// Simulated time of one step, s.
+pub const SECONDS_PER_STEP: f64 = 0.2;
+
+/// Steps of an episode.
+pub const MAX_STEPS: u32 = 50;
+
+/// Height of the table's top, m. Source: the original's table.
+pub const TABLE_HEIGHT: f64 = 0.675;
+
+/// Base of PSM1: position, m, and turn about the vertical, rad. Source: the original.
+const BASE_1: [f64; 4] = [0.05, 0.24, 0.8524, -110.0 * DEGREE];
+
+/// The remote centre of motion in the base, m. Source: the original's arm model.
+const BASE_FROM_RCM: [f64; 3] = [0.0, 0.4864, 0.0];
+
+/// The 10 cm workspace, for the tip of jaws that point down, m. Source: the original.
+pub const WORKSPACE: Aabb = Aabb::new([0.50, -0.05, 0.675], [0.60, 0.05, 0.745]);
+
+/// Where the wrist may go, m: the workspace raised by the length of the jaws, 4 mm more to each
+/// side and 16 mm more above. Source: the original.
+pub const REACH: Aabb = Aabb::new(
+    [0.50 - 0.004, -0.05 - 0.004, 0.675 + TIP_OFFSET],
+    [0.60 + 0.004, 0.05 + 0.004, 0.745 + TIP_OFFSET + 0.016],
+);
+
+/// Movement that 1.0 in an action stands for, m. Source: the original.
+pub const STEP_LENGTH: f64 = 0.01;
+
+/// Turn that 1.0 in an action stands for, rad. Source: the original.
+pub const STEP_ANGLE: f64 = 30.0 * DEGREE;
+
+/// Joint movements that 1.0 stands for, rad; index 2 in m: 10 mm at the usual depth of 0.16 m.
+const JOINT_STEPS: [f64; 6] = [0.06, 0.06, 0.01, STEP_ANGLE, STEP_ANGLE, STEP_ANGLE];
+
+const DEGREE: f64 = PI / 180.0;
+
+/// Origin of the tray and of the pad in it, m. Source: the original.
+const TRAY_ORIGIN: [f64; 3] = [0.55, 0.0, 0.6751];
+
+/// Friction coefficient of all objects and furniture. Source: the original.
+const FRICTION: f64 = 1.0;
+
+/// Puts tray and pad into the world.
+pub fn insert_tray_and_pad(world: &mut World) {
+    for model in [Model::tray(), Model::pad()] {
+        world.insert(Motion::Fixed, &scene_from_tray(), FRICTION, &model.parts);
+    }
+}
+
+/// The pad on which objects lie, m.
+pub fn pad() -> Aabb {
+    Model::pad().aabb(&scene_from_tray())
+}
+
+fn scene_from_tray() -> Pose {
+    frames::pose(TRAY_ORIGIN, [0.0; 3])
+}
+
+/// The 40 mm suture needle.
+#[derive(Debug, Clone)]
+pub struct Needle {
+    body: BodyId,
+}
+
+impl Needle {
+    /// Mass under `preset = "surrol"`, kg. Source: the original.
+    const SURROL_MASS: f64 = 0.01;
+
+    /// Puts a needle into the world.
+    pub fn insert(world: &mut World, preset: Preset) -> Self {
+        let model = Model::needle();
+        let mass = match preset {
+            Preset::Paper => model.mass,
+            Preset::Surrol => Self::SURROL_MASS,
+        };
+        let at = Self::resting(pad().centre().x, pad().centre().y, 0.0);
+        Self { body: world.insert(Motion::Free { mass }, &at, FRICTION, &model.parts) }
+    }
+
+    /// The body in the world.
+    pub fn body(&self) -> BodyId {
+        self.body
+    }
+
+    /// Lays the needle flat on the pad, at rest: `x` and `y` of the circle's centre, m, and turn
+    /// about the vertical, rad.
+    pub fn lay(&self, world: &mut World, x: f64, y: f64, yaw: f64) {
+        world.place(self.body, &Self::resting(x, y, yaw));
+    }
+
+    /// Lays the needle flat, turned by up to 90° either way, anywhere that is wholly on the pad and
+    /// in the workspace.
+    pub fn lay_anywhere(&self, world: &mut World, rng: &mut Rng) {
+        let yaw = rng.uniform(-FRAC_PI_2, FRAC_PI_2);
+        let outline = Model::needle().aabb(&frames::pose([0.0; 3], [0.0, 0.0, yaw]));
+        let pad = pad();
+        let mut along = |axis: usize| {
+            let low = pad.min[axis].max(WORKSPACE.min[axis]) - outline.min[axis];
+            rng.uniform(low, pad.max[axis].min(WORKSPACE.max[axis]) - outline.max[axis])
+        };
+        let (x, y) = (along(0), along(1));
+        self.lay(world, x, y, yaw);
+    }
+
+    /// The middle of the arc, m, scene frame.
+    pub fn middle(&self, world: &World) -> Vector3<f64> {
+        (world.pose(self.body) * Model::needle().body_from("mid_arc")).translation.vector
+    }
+
+    /// Where the needle touches the pad along its whole length.
+    fn resting(x: f64, y: f64, yaw: f64) -> Pose {
+        let below = Model::needle().aabb(&Pose::identity()).min.z;
+        frames::pose([x, y, pad().max.z - below], [0.0, 0.0, yaw])
+    }
+}
+
+/// What the `paper` action of a task moves besides the position.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct PaperAction {
+    /// Whether the fourth number turns the jaws; otherwise it is ignored.
+    pub turns: bool,
+    /// Whether the last number opens and closes the jaws; otherwise they stay closed, in every
+    /// action mode.
+    pub jaw: bool,
+}
+
+/// A PSM with its instrument in the world.
+#[derive(Debug, Clone)]
+pub struct PsmArm {
+    kinematics: Psm,
+    scene_from_base: Pose,
+    start: Pose,
+    start_joints: [f64; 6],
+    mode: ActionMode,
+    paper: PaperAction,
+    preset: Preset,
+    joint_offset: Range,
+    /// Height of what lies under the jaws, m.
+    support: f64,
+    instrument: Instrument,
+    /// What the joint sensors report.
+    joints: [f64; 6],
+    /// What the joints really are, less what the sensors report.
+    offsets: [f64; 6],
+    /// The wrist as the joint sensors report it.
+    scene_from_wrist: Pose,
+}
+
+impl PsmArm {
+    /// The rows of `setup` that move a PSM.
+    pub fn setup_rows() -> Vec<RowSpec> {
+        let row = |name: &str, summary: &str, count, min, max| RowSpec {
+            name: name.into(),
+            summary: summary.into(),
+            count,
+            min,
+            max,
+        };
+        vec![
+            row("base", "Base of the arm: x, y, z (m), turn about the vertical (rad).", 4, -PI, PI),
+            row("table_height", "Height of the table's top, m.", 1, 0.0, 2.0),
+        ]
+    }
+
+    /// Puts PSM1 into the world, jaws closed and straight down, the wrist at `start` (m), above a
+    /// surface at height `support` (m).
+    pub fn insert(
+        world: &mut World,
+        options: &Options,
+        paper: PaperAction,
+        start: [f64; 3],
+        support: f64,
+    ) -> Result<Self, Rejection> {
+        let [x, y, z, yaw] = match options.row("setup", "base") {
+            Some(&[x, y, z, yaw]) => [x, y, z, yaw],
+            _ => BASE_1,
+        };
+        let table = options.row("setup", "table_height").map_or(TABLE_HEIGHT, |row| row[0]);
+        let scene_from_base = frames::pose([x, y, z - (table - TABLE_HEIGHT)], [0.0, 0.0, yaw])
+            * Pose::from(Vector3::from(BASE_FROM_RCM));
+        let start = straight_down(start);
+        let mut arm = Self {
+            kinematics: Psm::CLASSIC,
+            scene_from_base,
+            start,
+            start_joints: [0.0; 6],
+            mode: options::action_of(options),
+            paper,
+            preset: options::preset_of(options),
+            joint_offset: options::Domain::of(options)?.joint_offset,
+            support,
+            instrument: Instrument::insert(
+                world,
+                Posture { world_from_wrist: start, jaw: JAW_CLOSED },
+            ),
+            joints: [0.0, 0.0, 0.1, 0.0, 0.0, 0.0],
+            offsets: [0.0; 6],
+            scene_from_wrist: start,
+        };
+        for corner in REACH.corners() {
+            let target = arm.confined(straight_down(corner.coords.into()));
+            if arm.solve(&target).is_none() {
+                let why = "the arm must reach all of the workspace within its joint limits";
+                return Err(options::refuse_setup(options, why));
+            }
+        }
+        arm.start_joints = arm
+            .solve(&start)
+            .ok_or_else(|| options::refuse_setup(options, "the arm must reach its start"))?;
+        Ok(arm)
+    }
+
+    /// Brings the arm to its start and draws this episode's encoder errors.
+    pub fn reset(&mut self, rng: &mut Rng) {
+        for joint in [0, 1, 3, 4, 5] {
+            self.offsets[joint] = self.joint_offset.draw(rng);
+        }
+        self.joints = self.start_joints;
+        self.scene_from_wrist = self.start;
+        let world_from_wrist = self.true_pose(&self.joints);
+        self.instrument.place(Posture { world_from_wrist, jaw: JAW_CLOSED });
+    }
+
+    /// The true tip of the closed jaws, m, scene frame.
+    pub fn tip(&self) -> Vector3<f64> {
+        self.instrument.posture().world_from_tip().translation.vector
+    }
+
+    /// The wrist as the joint sensors report it, scene frame.
+    pub fn scene_from_wrist(&self) -> &Pose {
+        &self.scene_from_wrist
+    }
+
+    /// Moves the arm for one step under an action of its mode; it holds where there is none.
+    pub fn apply(&mut self, world: &mut World, action: Option<&[f32]>) {
+        let now = *self.instrument.posture();
+        let (target, jaw) = match action {
+            Some(action) => self.decode(action),
+            None => (self.scene_from_wrist, now.jaw),
+        };
+        let joints = self.solve_clear_of_pad(&self.confined(target)).unwrap_or(self.joints);
+        let end = Posture { world_from_wrist: self.true_pose(&joints), jaw };
+        let substeps = (SECONDS_PER_STEP * SUBSTEPS_PER_SECOND).round() as u32;
+        let reached = self.instrument.travel(world, end, substeps);
+        self.joints = if reached < 1.0 { self.joints_where_it_is(&joints) } else { joints };
+        self.scene_from_wrist = self.pose_at(&self.joints);
+    }
+
+    /// The action that brings the sensed wrist to `target` or, where one step cannot, towards it.
+    pub fn encode(&self, target: &Pose, jaw: f64, action: &mut [f32]) {
+        let now = &self.scene_from_wrist;
+        let moved = target.translation.vector - now.translation.vector;
+        let turned = (target.rotation * now.rotation.inverse()).scaled_axis();
+        let opening = 2.0 * (jaw - JAW_CLOSED) / (JAW_OPEN - JAW_CLOSED) - 1.0;
+        let numbers = match self.mode {
+            ActionMode::Paper => {
+                let d = moved / STEP_LENGTH;
+                [d.x, d.y, d.z, turned.z / STEP_ANGLE, opening, 0.0, 0.0]
+            }
+            ActionMode::Cartesian => {
+                let (d, r) = (moved / STEP_LENGTH, turned / STEP_ANGLE);
+                [d.x, d.y, d.z, r.x, r.y, r.z, opening]
+            }
+            ActionMode::CartesianAbs => {
+                let half = (REACH.max - REACH.min) * 0.5;
+                let p = (target.translation.vector - REACH.centre()).component_div(&half);
+                let r = (target.rotation * down().inverse()).scaled_axis() / PI;
+                [p.x, p.y, p.z, r.x, r.y, r.z, opening]
+            }
+            ActionMode::Joint => {
+                let joints = self.solve(target).unwrap_or(self.joints);
+                let mut numbers = [opening; 7];
+                for joint in 0..6 {
+                    numbers[joint] = (joints[joint] - self.joints[joint]) / JOINT_STEPS[joint];
+                }
+                numbers
+            }
+        };
+        for (number, value) in action.iter_mut().zip(numbers) {
+            *number = value as f32;
+        }
+    }
+
+    /// The elements of an action.
+    pub fn action_elements(&self) -> Vec<Element> {
+        let turn = if self.paper.turns { "turn about the vertical" } else { "ignored (turn)" };
+        let jaw = if self.paper.jaw { "jaw" } else { "ignored (jaw)" };
+        let (frame, mut names) = match self.mode {
+            ActionMode::Paper => ("scene", vec!["dx", "dy", "dz", turn]),
+            ActionMode::Cartesian => (
+                "scene",
+                vec!["dx", "dy", "dz", "rotation x", "rotation y", "rotation z"],
+            ),
+            ActionMode::CartesianAbs => (
+                "scene",
+                vec!["x", "y", "z", "rotation x", "rotation y", "rotation z"],
+            ),
+            ActionMode::Joint => (
+                "joint",
+                vec!["yaw", "pitch", "insertion", "roll", "wrist pitch", "wrist yaw"],
+            ),
+        };
+        names.push(jaw);
+        names.iter().map(|name| options::action_element(name, frame)).collect()
+    }
+
+    /// Number of values that [`Self::observe`] writes.
+    pub const OBSERVED: usize = 7;
+
+    /// The elements of [`Self::observe`].
+    pub fn observation_elements(&self) -> Vec<Element> {
+        let mut elements =
+            options::position_elements("wrist", "scene", &REACH.grown(1e-3), self.preset);
+        elements.extend(options::euler_elements("wrist link", "scene"));
+        elements.push(Element::new("jaw", "", "rad", -0.1, 1.0));
+        elements
+    }
+
+    /// Writes what is observed of the arm: wrist position (3), extrinsic XYZ Euler angles of the
+    /// wrist link (3), jaw angle.
+    pub fn observe(&self, observation: &mut [f32]) {
+        let scale = options::position_scale(self.preset);
+        let position = self.scene_from_wrist.translation.vector * scale;
+        let angles = frames::euler_xyz(&(self.scene_from_wrist.rotation * wrist_from_link()));
+        let numbers = position.iter().chain(&angles).chain([&self.instrument.posture().jaw]);
+        for (slot, number) in observation.iter_mut().zip(numbers) {
+            *slot = *number as f32;
+        }
+    }
+
+    /// Where an action asks the wrist to be, and the jaw angle that it asks for.
+    fn decode(&self, action: &[f32]) -> (Pose, f64) {
+        let now = &self.scene_from_wrist;
+        let number = |index: usize| f64::from(action[index]);
+        let vector = |first: usize| Vector3::new(number(first), number(first + 1), number(first + 2));
+        let graded = JAW_CLOSED + (JAW_OPEN - JAW_CLOSED) * 0.5 * (number(action.len() - 1) + 1.0);
+        let (target, jaw) = match self.mode {
+            ActionMode::Paper => {
+                let turn = if self.paper.turns { number(3) * STEP_ANGLE } else { 0.0 };
+                let jaw = if number(4) < 0.0 { JAW_CLOSED } else { JAW_OPEN };
+                (moved(now, vector(0) * STEP_LENGTH, Vector3::z() * turn), jaw)
+            }
+            ActionMode::Cartesian => {
+                (moved(now, vector(0) * STEP_LENGTH, vector(3) * STEP_ANGLE), graded)
+            }
+            ActionMode::CartesianAbs => {
+                let half = (REACH.max - REACH.min) * 0.5;
+                let position = REACH.centre() + vector(0).component_mul(&half);
+                let rotation = UnitQuaternion::from_scaled_axis(vector(3) * PI) * down();
+                let step = position - now.translation.vector;
+                let step = step / (step.amax() / STEP_LENGTH).max(1.0);
+                let turn = (rotation * now.rotation.inverse()).scaled_axis();
+                let turn = turn / (turn.norm() / STEP_ANGLE).max(1.0);
+                (moved(now, step, turn), graded)
+            }
+            ActionMode::Joint => {
+                let joints = std::array::from_fn(|joint| {
+                    let limit = &self.kinematics.limits()[joint];
+                    let wanted = self.joints[joint] + number(joint) * JOINT_STEPS[joint];
+                    wanted.clamp(limit.min, limit.max)
+                });
+                (self.pose_at(&joints), graded)
+            }
+        };
+        (target, if self.paper.jaw { jaw } else { JAW_CLOSED })
+    }
+
+    /// The pose nearest to `target` in which wrist and tip are where they may be.
+    fn confined(&self, mut target: Pose) -> Pose {
+        let jaws = target.rotation * Vector3::z() * TIP_OFFSET;
+        let wrist = REACH.clamp(&target.translation.vector);
+        let tip = wrist + jaws;
+        let inside = REACH.clamp(&tip) - tip;
+        let lowest = self.support + instrument::CLEARANCE;
+        let height = wrist.z.max(lowest + instrument::depth_below_wrist(&target.rotation));
+        target.translation.vector = Vector3::new(wrist.x + inside.x, wrist.y + inside.y, height);
+        target
+    }
+
+    /// The joints that bring the sensed wrist to `target` without turning the roll right round.
+    fn solve(&self, target: &Pose) -> Option<[f64; 6]> {
+        let base_from_wrist = self.scene_from_base.inv_mul(target);
+        let joints = self.kinematics.inverse(&base_from_wrist, &self.joints).ok()?;
+        let roll = (joints[3] - self.joints[3]).abs();
+        (roll < PI).then_some(joints)
+    }
+
+    /// As [`Self::solve`], but so that encoder errors do not press the true jaws onto the pad.
+    fn solve_clear_of_pad(&self, target: &Pose) -> Option<[f64; 6]> {
+        /// What rounding may take from the clearance, m.
+        const ROUNDING: f64 = 1e-8;
+        let mut target = *target;
+        let mut joints = self.solve(&target)?;
+        loop {
+            let pose = self.true_pose(&joints);
+            let low = pose.translation.z - instrument::depth_below_wrist(&pose.rotation);
+            let missing = self.support + instrument::CLEARANCE - low;
+            if missing <= ROUNDING {
+                return Some(joints);
+            }
+            target.translation.z += missing;
+            joints = self.solve(&target)?;
+        }
+    }
+
+    /// The joints as sensed after the arm yielded on its way to `end`.
+    fn joints_where_it_is(&self, end: &[f64; 6]) -> [f64; 6] {
+        let base_from_wrist =
+            self.scene_from_base.inv_mul(&self.instrument.posture().world_from_wrist);
+        let seed = std::array::from_fn(|joint| end[joint] + self.offsets[joint]);
+        match self.kinematics.inverse(&base_from_wrist, &seed) {
+            Ok(joints) => std::array::from_fn(|joint| joints[joint] - self.offsets[joint]),
+            Err(_) => self.joints, // between two poses at a limit: at most a step away
+        }
+    }
+
+    fn pose_at(&self, joints: &[f64; 6]) -> Pose {
+        self.scene_from_base * self.kinematics.base_from_wrist(joints)
+    }
+
+    fn true_pose(&self, joints: &[f64; 6]) -> Pose {
+        self.pose_at(&std::array::from_fn(|joint| joints[joint] + self.offsets[joint]))
+    }
+}
+
+/// `now` moved by `step` (m) and turned by the rotation vector `turn` (rad), both in the scene.
+fn moved(now: &Pose, step: Vector3<f64>, turn: Vector3<f64>) -> Pose {
+    let rotation = UnitQuaternion::from_scaled_axis(turn) * now.rotation;
+    Pose::from_parts((now.translation.vector + step).into(), rotation)
+}
+
+/// The wrist at `position`, jaws straight down, turned as every episode begins.
+fn straight_down(position: [f64; 3]) -> Pose {
+    Pose::from_parts(Vector3::from(position).into(), down())
+}
+
+/// Orientation of a wrist whose jaws point straight down: Euler angles of the link (−90°, 0, 90°).
+/// Source: the original.
+fn down() -> UnitQuaternion<f64> {
+    let scene_from_link = UnitQuaternion::from_euler_angles(-FRAC_PI_2, 0.0, FRAC_PI_2);
+    scene_from_link * wrist_from_link().inverse()
+}
+
+/// The wrist-yaw link (y along the jaws, z along their hinge) in the frame of dVRK's `measured_cp`
+/// (z along the jaws). Its Euler angles are the original's and, pointing down, far from a wrap.
+fn wrist_from_link() -> UnitQuaternion<f64> {
+    Unit::new_unchecked(Quaternion::new(0.5, 0.5, -0.5, -0.5))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::sim::world::Solver;
+
+    fn arm(options: &Options) -> (World, PsmArm) {
+        let mut world = World::new(Solver::LIGHT);
+        let paper = PaperAction { turns: true, jaw: true };
+        let start = [WORKSPACE.min.x, WORKSPACE.max.y, WORKSPACE.max.z + TIP_OFFSET];
+        let mut arm = PsmArm::insert(&mut world, options, paper, start, pad().max.z).unwrap();
+        arm.reset(&mut Rng::new(0, 0));
+        (world, arm)
+    }
+
+    #[test]
+    fn the_start_is_the_originals() {
+        let (_, arm) = arm(&Options::new());
+        // Joints that the original reports after its reset, to the digits it was read with.
+        let original = [0.2505, -0.0078, 0.1068, -0.3389, -0.0776, -0.2386];
+        for (found, expected) in arm.joints.iter().zip(original) {
+            assert!((found - expected).abs() < 2e-3, "{:?}", arm.joints);
+        }
+        let mut seen = [0.0; PsmArm::OBSERVED];
+        arm.observe(&mut seen);
+        let quarter = std::f32::consts::FRAC_PI_2;
+        for (found, expected) in
+            seen.iter().zip([0.5, 0.05, 0.7552, -quarter, 0.0, quarter, 0.0])
+        {
+            assert!((found - expected).abs() < 1e-6, "{seen:?}");
+        }
+    }
+
+    #[test]
+    fn every_action_mode_takes_the_wrist_where_its_encoding_says() {
+        for mode in ["paper", "cartesian", "cartesian_abs", "joint"] {
+            let (mut world, mut arm) = arm(&Options::new().with_text("action", mode));
+            let target = moved(
+                arm.scene_from_wrist(),
+                Vector3::new(0.003, -0.004, -0.005),
+                Vector3::new(0.0, 0.0, 0.2),
+            );
+            let mut action = vec![0.0; arm.action_elements().len()];
+            arm.encode(&target, JAW_OPEN, &mut action);
+            assert!(action.iter().all(|number| number.abs() <= 1.0), "{mode}: {action:?}");
+            arm.apply(&mut world, Some(&action));
+            let off = target.inv_mul(arm.scene_from_wrist());
+            assert!(off.translation.vector.norm() < 1e-6, "{mode}: {off}");
+            assert!(off.rotation.angle() < 1e-6, "{mode}");
+            assert!((arm.instrument.posture().jaw - JAW_OPEN).abs() < 1e-6, "{mode}");
+        }
+    }
+
+    #[test]
+    fn no_action_takes_the_jaws_below_their_clearance_or_out_of_reach() {
+        let offset = trocar_proto::OptionValue::Table(std::collections::BTreeMap::from([(
+            "joint_offset".to_string(),
+            vec![0.01, 0.02],
+        )]));
+        for mode in ["paper", "cartesian", "cartesian_abs", "joint"] {
+            let options = Options::new().with_text("action", mode).with("domain", offset.clone());
+            let (mut world, mut arm) = arm(&options);
+            let mut rng = Rng::new(1, 0);
+            let count = arm.action_elements().len();
+            let mut lowest = f64::INFINITY;
+            for _ in 0..2000 {
+                let mut action: Vec<f32> =
+                    (0..count).map(|_| rng.uniform(-1.0, 1.0) as f32).collect();
+                action[2] = if mode == "joint" { 1.0 } else { -1.0 };
+                let before = arm.tip();
+                arm.apply(&mut world, Some(&action));
+                let pose = arm.instrument.posture().world_from_wrist;
+                let low = pose.translation.z - instrument::depth_below_wrist(&pose.rotation);
+                lowest = lowest.min(low);
+                assert!(low > pad().max.z + instrument::CLEARANCE - 1e-7, "{mode}: {low}");
+                assert!((arm.tip() - before).norm() < 0.05, "{mode}: a jump");
+                let limits = arm.kinematics.limits();
+                assert!(arm.joints.iter().zip(limits).all(|(q, l)| l.min <= *q && *q <= l.max));
+            }
+            assert!(lowest < pad().max.z + 1e-3, "{mode}: never came down, {lowest}");
+        }
+    }
+
+    #[test]
+    fn a_needle_lies_on_pad_and_workspace_and_stays_where_it_is_laid() {
+        let mut world = World::new(Solver::LIGHT);
+        insert_tray_and_pad(&mut world);
+        let needle = Needle::insert(&mut world, Preset::Paper);
+        let mut rng = Rng::new(3, 0);
+        for _ in 0..20 {
+            needle.lay_anywhere(&mut world, &mut rng);
+            let laid = world.pose(needle.body());
+            world.wake(needle.body());
+            for _ in 0..24 {
+                world.step();
+            }
+            let moved = world.pose(needle.body()).translation.vector - laid.translation.vector;
+            assert!(moved.norm() < 0.02e-3, "{moved}");
+            let outline = Model::needle().aabb(&laid);
+            let inside = |area: &Aabb, axis: usize| {
+                area.min[axis] - 1e-9 <= outline.min[axis]
+                    && outline.max[axis] <= area.max[axis] + 1e-9
+            };
+            assert!((0..2).all(|axis| inside(&WORKSPACE, axis) && inside(&pad(), axis)));
+        }
+    }
+}

@@ -1,0 +1,490 @@
+//! Every registered task, in-process, under every option that changes what it does.
+
+use std::collections::BTreeMap;
+
+use trocar_proto::spec::{Element, OptionValue};
+use trocar_proto::{Code, Options, TaskSpec};
+use trocar_server::env::{Env, Step};
+use trocar_server::error::StepError;
+use trocar_server::sim::random::Rng;
+use trocar_server::tasks::Registry;
+
+/// What an environment shows after a reset or step.
+#[derive(Debug, Clone)]
+struct Seen {
+    observation: Vec<f32>,
+    achieved: Vec<f32>,
+    desired: Vec<f32>,
+    expert: Vec<f32>,
+}
+
+impl Seen {
+    fn of(env: &Env) -> Self {
+        let spec = env.spec();
+        let mut seen = Self {
+            observation: vec![f32::NAN; spec.observation_dim()],
+            achieved: vec![f32::NAN; spec.goal_dim()],
+            desired: vec![f32::NAN; spec.goal_dim()],
+            expert: vec![f32::NAN; spec.action_dim()],
+        };
+        env.observe(&mut seen.observation, &mut seen.achieved, &mut seen.desired);
+        env.expert(&mut seen.expert);
+        seen
+    }
+
+    fn bits(&self) -> Vec<u32> {
+        [&self.observation, &self.achieved, &self.desired, &self.expert]
+            .into_iter()
+            .flatten()
+            .map(|number| number.to_bits())
+            .collect()
+    }
+}
+
+/// A stream of actions that clip, press and wander.
+struct Actions(Rng);
+
+impl Actions {
+    fn new(seed: u64) -> Self {
+        Self(Rng::new(seed, u64::MAX))
+    }
+
+    fn next(&mut self, spec: &TaskSpec) -> Vec<f32> {
+        (0..spec.action_dim()).map(|_| self.0.uniform(-1.3, 1.3) as f32).collect()
+    }
+}
+
+fn table(rows: &[(&str, &[f64])]) -> OptionValue {
+    let row = |(name, numbers): &(&str, &[f64])| ((*name).to_string(), numbers.to_vec());
+    OptionValue::Table(rows.iter().map(row).collect::<BTreeMap<_, _>>())
+}
+
+/// Every task with its defaults and with each word of each option that is a choice.
+fn variants() -> Vec<(String, Options)> {
+    let registry = Registry::builtin();
+    let mut variants = vec![];
+    for id in registry.ids() {
+        variants.push((id.to_string(), Options::new()));
+        for option in registry.spec(id, &Options::new()).unwrap().options {
+            if let trocar_proto::spec::Allowed::OneOf(words) = option.allowed {
+                for word in &words[1..] {
+                    variants.push((id.to_string(), Options::new().with_text(&option.name, word)));
+                }
+            }
+        }
+    }
+    variants
+}
+
+fn make((id, options): &(String, Options)) -> Env {
+    Registry::builtin().make(id, options).unwrap()
+}
+
+/// Whether the task's documentation says that an element never changes under these options.
+fn documented_as_constant((id, options): &(String, Options), element: &Element) -> bool {
+    let paper = options.text("action").is_none_or(|mode| mode == "paper");
+    match id.as_str() {
+        "NeedleReach-v0" => {
+            element.name == "jaw" || (paper && element.name.starts_with("wrist link"))
+        }
+        "EcmReach-v0" => paper && element.name == "camera yaw",
+        _ => false,
+    }
+}
+
+#[test]
+fn specifications_are_complete_and_every_box_is_finite() {
+    for variant in variants() {
+        let env = make(&variant);
+        let spec = env.spec();
+        assert_eq!(spec.id, variant.0);
+        assert!(!spec.summary.is_empty() && spec.max_steps > 0 && spec.seconds_per_step > 0.0);
+        let goal = spec.goal.iter().flat_map(|goal| &goal.elements);
+        for element in spec.action.iter().chain(&spec.observation).chain(goal) {
+            assert!(!element.name.is_empty() && !element.unit.is_empty(), "{element:?}");
+            assert!(element.min.is_finite() && element.max.is_finite());
+            assert!(element.min < element.max, "{element:?}");
+        }
+        assert!(spec.action.iter().all(|element| (element.min, element.max) == (-1.0, 1.0)));
+        assert_eq!(*spec, Registry::builtin().spec(&variant.0, &variant.1).unwrap());
+    }
+}
+
+#[test]
+fn dimensions_are_those_of_the_paper() {
+    let dims = |id: &str| {
+        let spec = Registry::builtin().spec(id, &Options::new()).unwrap();
+        (spec.action_dim(), spec.observation_dim(), spec.goal_dim(), spec.max_steps)
+    };
+    assert_eq!(dims("NeedleReach-v0"), (5, 7, 3, 50));
+    assert_eq!(dims("EcmReach-v0"), (3, 6, 3, 50));
+}
+
+#[test]
+fn what_is_seen_is_within_its_bounds_and_not_constant() {
+    for variant in variants() {
+        let mut env = make(&variant);
+        let spec = env.spec().clone();
+        let mut actions = Actions::new(1);
+        let mut ranges = vec![(f32::INFINITY, f32::NEG_INFINITY); spec.observation_dim()];
+        for episode in 0..6 {
+            env.reset((episode == 0).then_some(3));
+            loop {
+                let seen = Seen::of(&env);
+                let within = |numbers: &[f32], elements: &[Element]| {
+                    for (number, element) in numbers.iter().zip(elements) {
+                        let allowed = element.min..=element.max;
+                        assert!(allowed.contains(number), "{variant:?}: {number} of {element:?}");
+                    }
+                };
+                within(&seen.observation, &spec.observation);
+                within(&seen.expert, &spec.action);
+                if let Some(goal) = &spec.goal {
+                    within(&seen.achieved, &goal.elements);
+                    within(&seen.desired, &goal.elements);
+                }
+                for (range, number) in ranges.iter_mut().zip(&seen.observation) {
+                    *range = (range.0.min(*number), range.1.max(*number));
+                }
+                if env.needs_reset() {
+                    break;
+                }
+                env.step(&actions.next(&spec)).unwrap();
+            }
+        }
+        for (range, element) in ranges.iter().zip(&spec.observation) {
+            if !documented_as_constant(&variant, element) {
+                assert!(range.1 - range.0 > 1e-4, "{variant:?}: {element:?} is constant");
+            }
+        }
+    }
+}
+
+#[test]
+fn a_seed_is_an_episode_bit_by_bit_and_another_seed_is_another() {
+    for variant in variants() {
+        let (mut one, mut two) = (make(&variant), make(&variant));
+        two.reset(Some(99)); // what was before does not matter
+        one.reset(Some(5));
+        two.reset(Some(5));
+        let first = Seen::of(&one);
+        assert_eq!(first.bits(), Seen::of(&two).bits());
+        let mut actions = Actions::new(5);
+        while !one.needs_reset() {
+            let action = actions.next(one.spec());
+            assert_eq!(one.step(&action).unwrap(), two.step(&action).unwrap());
+            assert_eq!(Seen::of(&one).bits(), Seen::of(&two).bits());
+        }
+        one.reset(None);
+        assert_ne!(first.bits(), Seen::of(&one).bits(), "the next episode is another");
+        two.reset(Some(6));
+        assert_ne!(first.bits(), Seen::of(&two).bits());
+    }
+}
+
+#[test]
+fn episodes_are_keyed_by_seed_and_number() {
+    for id in Registry::builtin().ids() {
+        let make = || Registry::builtin().make(id, &Options::new()).unwrap();
+        let (mut stepped, mut fresh) = (make(), make());
+        stepped.reset(Some(4));
+        let mut actions = Actions::new(0);
+        for _ in 0..20 {
+            stepped.step(&actions.next(&stepped.spec().clone())).unwrap();
+        }
+        stepped.reset(None);
+        fresh.reset(Some(4));
+        fresh.reset(None);
+        assert_eq!((stepped.seed(), stepped.episode(), stepped.steps()), (4, 1, 0));
+        assert_eq!(Seen::of(&stepped).bits(), Seen::of(&fresh).bits());
+        let mut unseeded = make();
+        unseeded.reset(None);
+        fresh.reset(Some(0));
+        assert_eq!((unseeded.seed(), unseeded.episode()), (0, 0));
+        assert_eq!(Seen::of(&unseeded).bits(), Seen::of(&fresh).bits());
+    }
+}
+
+#[test]
+fn the_expert_succeeds_on_all_of_200_seeds() {
+    for variant in variants() {
+        let mut env = make(&variant);
+        let mut failed = vec![];
+        for seed in 0..200 {
+            env.reset(Some(seed));
+            let mut last = None;
+            while !env.needs_reset() {
+                last = Some(env.step(&Seen::of(&env).expert).unwrap());
+            }
+            if !last.unwrap().is_success {
+                failed.push(seed);
+            }
+        }
+        assert_eq!(failed, [], "{variant:?}");
+    }
+}
+
+#[test]
+fn rewards_and_success_are_those_of_the_goals_bit_by_bit() {
+    for variant in variants() {
+        let mut env = make(&variant);
+        let spec = env.spec().clone();
+        let Some(goal) = &spec.goal else { continue };
+        let mut actions = Actions::new(2);
+        for episode in 0..4 {
+            env.reset(None);
+            while !env.needs_reset() {
+                let expert = Seen::of(&env).expert;
+                let action = if episode % 2 == 0 { actions.next(&spec) } else { expert };
+                let step = env.step(&action).unwrap();
+                let seen = Seen::of(&env);
+                let reward = spec.reward.of(&goal.success, &seen.achieved, &seen.desired);
+                assert_eq!(step.reward.to_bits(), reward.to_bits());
+                assert_eq!(step.is_success, spec.is_success(&seen.achieved, &seen.desired));
+            }
+        }
+    }
+}
+
+#[test]
+fn episodes_are_truncated_at_their_time_limit_and_need_a_reset() {
+    for id in Registry::builtin().ids() {
+        let mut env = Registry::builtin().make(id, &Options::new()).unwrap();
+        let action = vec![0.0; env.spec().action_dim()];
+        assert_eq!(env.step(&action), Err(StepError::ResetNeeded));
+        env.reset(None);
+        for step in 1..=env.spec().max_steps {
+            let Step { terminated, truncated, .. } = env.step(&action).unwrap();
+            assert_eq!((truncated, terminated), (step == env.spec().max_steps, false));
+            assert_eq!(env.steps(), step);
+        }
+        assert!(env.needs_reset());
+        assert_eq!(env.step(&action), Err(StepError::ResetNeeded));
+    }
+}
+
+#[test]
+fn actions_that_are_no_numbers_are_refused_and_change_nothing() {
+    for id in Registry::builtin().ids() {
+        let mut env = Registry::builtin().make(id, &Options::new()).unwrap();
+        env.reset(Some(1));
+        let mut untouched = env.clone();
+        let dim = env.spec().action_dim();
+        for bad in [f32::NAN, f32::INFINITY, f32::NEG_INFINITY] {
+            for index in 0..dim {
+                let mut action = vec![0.5; dim];
+                action[index] = bad;
+                let Err(StepError::InvalidAction(refusal)) = env.step(&action) else {
+                    panic!("{id}: {bad} was taken");
+                };
+                assert_eq!(refusal.code, Code::InvalidAction);
+                assert_eq!(refusal.field, format!("action[{index}]"));
+            }
+        }
+        for length in [0, dim - 1, dim + 1] {
+            let refused = env.step(&vec![0.0; length]);
+            assert!(matches!(refused, Err(StepError::InvalidAction(_))), "{id}: {length}");
+        }
+        let mut actions = Actions::new(3);
+        for _ in 0..20 {
+            let action = actions.next(&env.spec().clone());
+            assert_eq!(env.step(&action).unwrap(), untouched.step(&action).unwrap());
+            assert_eq!(Seen::of(&env).bits(), Seen::of(&untouched).bits());
+        }
+    }
+}
+
+#[test]
+fn numbers_outside_the_range_act_as_the_nearest_inside() {
+    for variant in variants() {
+        let mut clipped = make(&variant);
+        clipped.reset(Some(2));
+        let mut wild = clipped.clone();
+        let mut actions = Actions::new(4);
+        for _ in 0..30 {
+            let action = actions.next(&wild.spec().clone());
+            let inside: Vec<f32> = action.iter().map(|number| number.clamp(-1.0, 1.0)).collect();
+            wild.step(&action).unwrap();
+            clipped.step(&inside).unwrap();
+            assert_eq!(Seen::of(&wild).bits(), Seen::of(&clipped).bits());
+        }
+    }
+}
+
+#[test]
+fn a_clone_goes_on_bit_by_bit_like_the_original() {
+    for variant in variants() {
+        let mut env = make(&variant);
+        for seed in 0..4 {
+            env.reset(Some(seed));
+            let mut actions = Actions::new(seed);
+            for _ in 0..10 + 8 * seed {
+                env.step(&towards_the_goal(&mut actions, &env)).unwrap();
+            }
+            let mut clone = env.clone();
+            while !env.needs_reset() {
+                let action = towards_the_goal(&mut actions, &env);
+                assert_eq!(env.step(&action).unwrap(), clone.step(&action).unwrap());
+                assert_eq!(Seen::of(&env).bits(), Seen::of(&clone).bits());
+            }
+            clone.reset(None);
+            env.reset(None);
+            assert_eq!(Seen::of(&env).bits(), Seen::of(&clone).bits());
+        }
+    }
+}
+
+#[test]
+fn environments_side_by_side_are_as_if_each_were_alone() {
+    for id in Registry::builtin().ids() {
+        let first = Registry::builtin().make(id, &Options::new()).unwrap();
+        let mut envs = vec![first; 64];
+        let mut streams: Vec<_> = (0..64).map(Actions::new).collect();
+        let mut together = vec![vec![]; 64];
+        for (seed, env) in envs.iter_mut().enumerate() {
+            env.reset(Some(seed as u64));
+        }
+        for _ in 0..50 {
+            for ((env, stream), bits) in envs.iter_mut().zip(&mut streams).zip(&mut together) {
+                env.step(&towards_the_goal(stream, env)).unwrap();
+                bits.push(Seen::of(env).bits());
+            }
+        }
+        let alone = std::thread::spawn({
+            let id = id.to_string();
+            move || {
+                let mut env = Registry::builtin().make(&id, &Options::new()).unwrap();
+                let mut run = |seed: u64| {
+                    let mut stream = Actions::new(seed);
+                    env.reset(Some(seed));
+                    let step = |_| {
+                        env.step(&towards_the_goal(&mut stream, &env)).unwrap();
+                        Seen::of(&env).bits()
+                    };
+                    (0..50).map(step).collect::<Vec<_>>()
+                };
+                (0..64).map(&mut run).collect::<Vec<_>>()
+            }
+        });
+        assert_eq!(together, alone.join().unwrap());
+    }
+}
+
+#[test]
+fn nothing_explodes_under_adversarial_actions() {
+    for variant in variants() {
+        let mut env = make(&variant);
+        let mut actions = Actions::new(9);
+        let metres = if variant.1.text("preset") == Some("surrol") { 5.0 } else { 1.0 };
+        for _ in 0..40 {
+            env.reset(None);
+            let mut before = Seen::of(&env);
+            while !env.needs_reset() {
+                env.step(&towards_the_goal(&mut actions, &env)).unwrap();
+                let now = Seen::of(&env);
+                let pairs = now.achieved.iter().zip(&before.achieved);
+                let moved = pairs.map(|(a, b)| (a - b) * (a - b)).sum::<f32>().sqrt() / metres;
+                assert!(moved < 0.05, "{variant:?}: the achieved goal jumps by {moved} m");
+                before = now;
+            }
+        }
+    }
+}
+
+#[test]
+fn randomised_domains_are_drawn_by_episode() {
+    let domain = table(&[
+        ("observation_noise", &[0.001, 0.002]),
+        ("joint_offset", &[-0.01, 0.01]),
+        ("latency", &[1.0, 3.0]),
+    ]);
+    for id in Registry::builtin().ids() {
+        let options = Options::new().with("domain", domain.clone());
+        let mut env = Registry::builtin().make(id, &options).unwrap();
+        let mut plain = Registry::builtin().make(id, &Options::new()).unwrap();
+        let mut offsets = vec![];
+        for seed in 0..5 {
+            env.reset(Some(seed));
+            plain.reset(Some(seed));
+            let (noisy, exact) = (Seen::of(&env), Seen::of(&plain));
+            assert_eq!(noisy.desired, exact.desired, "the episode itself is the same");
+            assert_ne!(noisy.observation, exact.observation);
+            assert_ne!(noisy.achieved, exact.achieved, "encoder errors move the arm");
+            assert!((noisy.observation[0] - exact.observation[0]).abs() < 0.01);
+            offsets.push(noisy.achieved[0].to_bits());
+            let held = noisy.achieved.clone();
+            env.step(&vec![-1.0; env.spec().action_dim()]).unwrap();
+            assert_eq!(Seen::of(&env).achieved, held, "no command has arrived yet");
+            for _ in 0..3 {
+                env.step(&vec![-1.0; env.spec().action_dim()]).unwrap();
+            }
+            assert_ne!(Seen::of(&env).achieved, held);
+        }
+        offsets.dedup();
+        assert_eq!(offsets.len(), 5);
+    }
+}
+
+#[test]
+fn a_moved_arm_shows_and_does_the_same() {
+    let setups: [(&str, &[(&str, &[f64])]); 3] = [
+        ("NeedleReach-v0", &[("table_height", &[0.67])]),
+        ("NeedleReach-v0", &[("base", &[0.06, 0.25, 0.845, -1.9]), ("table_height", &[0.672])]),
+        ("EcmReach-v0", &[("base", &[-0.04, 0.01, 1.01, 0.5])]),
+    ];
+    for (id, rows) in setups {
+        let options = Options::new().with("setup", table(rows));
+        let mut moved = Registry::builtin().make(id, &options).unwrap();
+        let mut nominal = Registry::builtin().make(id, &Options::new()).unwrap();
+        for seed in 0..20 {
+            moved.reset(Some(seed));
+            nominal.reset(Some(seed));
+            for _ in 0..50 {
+                let (there, here) = (Seen::of(&moved), Seen::of(&nominal));
+                for (a, b) in there.observation[..3].iter().zip(&here.observation[..3]) {
+                    assert!((a - b).abs() < 1e-5, "{id}: {there:?} for {here:?}");
+                }
+                moved.step(&here.expert).unwrap();
+                nominal.step(&here.expert).unwrap();
+            }
+            let seen = Seen::of(&moved);
+            assert!(moved.spec().is_success(&seen.achieved, &seen.desired));
+        }
+    }
+}
+
+#[test]
+fn what_cannot_be_made_is_refused_by_name() {
+    let registry = Registry::builtin();
+    let refusal = registry.make("NeedleReech-v0", &Options::new()).err().unwrap();
+    assert_eq!(refusal.code, Code::UnknownTask);
+    for part in ["task", "NeedleReech-v0", "NeedleReach-v0", "EcmReach-v0"] {
+        assert!(refusal.to_string().contains(part), "{refusal}");
+    }
+    for id in registry.ids() {
+        let refuse = |options: &Options| registry.make(id, options).err().unwrap();
+        let refusal = refuse(&Options::new().with_text("reward", "shaped"));
+        assert_eq!((refusal.code, refusal.field.as_str()), (Code::InvalidOption, "options.reward"));
+        let refusal = refuse(&Options::new().with_text("colour", "red"));
+        assert_eq!(refusal.code, Code::UnknownOption);
+        let far = Options::new().with("setup", table(&[("base", &[3.0, 3.0, 3.0, 0.0])]));
+        let refusal = refuse(&far);
+        assert_eq!((refusal.code, refusal.field.as_str()), (Code::InvalidOption, "options.setup"));
+        let backwards = table(&[("latency", &[3.0, 1.0])]);
+        let refusal = refuse(&Options::new().with("domain", backwards));
+        assert_eq!(refusal.field, "options.domain.latency");
+    }
+}
+
+/// Random, but biased towards where goals and objects are.
+fn towards_the_goal(actions: &mut Actions, env: &Env) -> Vec<f32> {
+    let mut action = actions.next(env.spec());
+    if actions.0.unit() < 0.6 {
+        let expert = Seen::of(env).expert;
+        let pull = 1.0 / expert.iter().fold(0.1, |largest: f32, number| largest.max(number.abs()));
+        for (number, wanted) in action.iter_mut().zip(expert) {
+            *number = 0.3 * *number + wanted * pull;
+        }
+    }
+    action
+}
