@@ -34,10 +34,8 @@ pub fn euler_xyz(rotation: &UnitQuaternion<f64>) -> [f64; 3] {
 /// Moves from `start` (0) to `end` (1): straight in position, along the shorter arc in rotation.
 pub fn interpolate(start: &Pose, end: &Pose, fraction: f64) -> Pose {
     let translation = start.translation.vector.lerp(&end.translation.vector, fraction);
-    let rotation = start
-        .rotation
-        .try_slerp(&end.rotation, fraction, 1e-12)
-        .unwrap_or(start.rotation); // half a turn in one step: there is no shorter arc
+    let rotation =
+        start.rotation.try_slerp(&end.rotation, fraction, 1e-12).unwrap_or(start.rotation); // half a turn in one step: there is no shorter arc
     Isometry3::from_parts(translation.into(), rotation)
 }
 

@@ -177,8 +177,7 @@ impl EcmArm {
     /// The elements of [`Self::observe`].
     pub fn observation_elements(&self) -> Vec<Element> {
         // ECM scenes are not scaled under any preset.
-        let mut elements =
-            options::position_elements("camera", "rcm", &POSITIONS, Preset::Paper);
+        let mut elements = options::position_elements("camera", "rcm", &POSITIONS, Preset::Paper);
         elements.extend(options::euler_elements("camera", "rcm"));
         elements
     }

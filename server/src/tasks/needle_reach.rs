@@ -138,7 +138,7 @@ impl Task for NeedleReach {
             Preset::Paper => Solver::LIGHT,
             Preset::Surrol => Solver::HEAVY,
         });
-        psm_scene::insert_tray_and_pad(&mut world);
+        psm_scene::insert_furniture(&mut world);
         let needle = Needle::insert(&mut world, preset);
         let paper = PaperAction { turns: false, jaw: false };
         let start = [WORKSPACE.min.x, WORKSPACE.max.y, WORKSPACE.max.z + TIP_OFFSET];
@@ -275,22 +275,21 @@ mod tests {
                     }
                     Task::apply(&mut task, &mut world, Some(&action));
                     let needle = world.pose(task.needle.body());
-                    let height = needle.translation.z - psm_scene::pad().max.z;
-                    let outline = Model::needle().aabb(&needle);
-                    let on_pad = psm_scene::pad().grown(-0.003).meets(&Aabb {
-                        min: Vector3::new(outline.min.x, outline.min.y, psm_scene::pad().min.z),
-                        max: outline.max,
-                    });
-                    if on_pad {
-                        lowest = lowest.min(height);
+                    let over_pad = psm_scene::pad().grown(-1e-3);
+                    for part in &Model::needle().parts {
+                        let middle = (needle * part.body_from_part).translation.vector;
+                        let inside = over_pad.clamp(&middle).xy() == middle.xy();
+                        if inside && middle.z > psm_scene::pad().min.z {
+                            lowest = lowest.min(middle.z - psm_scene::pad().max.z);
+                        }
                     }
                     fastest = fastest.max(world.velocity(task.needle.body()).norm());
                     assert!(world.is_finite());
                 }
                 touched += usize::from(world.pose(task.needle.body()) != laid);
             }
-            eprintln!("{mode}: lowest {lowest}, fastest {fastest}, touched {touched}");
-            assert!(lowest > -0.5e-3, "{mode}: {lowest}");
+            // Pressed or landing, the wire may dip for an instant, but never wholly.
+            assert!(lowest > -0.5e-3, "{mode}: the wire's axis was {lowest} m above the pad");
             assert!(fastest < FASTEST, "{mode}: {fastest}");
             assert!(touched > 150, "{mode}: {touched}");
         }

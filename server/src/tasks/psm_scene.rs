@@ -70,14 +70,19 @@ const JOINT_STEPS: [f64; 6] = [0.06, 0.06, 0.01, STEP_ANGLE, STEP_ANGLE, STEP_AN
 
 const DEGREE: f64 = PI / 180.0;
 
+/// Origin of the table: the floor below its middle, m. Source: the original.
+const TABLE_ORIGIN: [f64; 3] = [0.5, 0.0, 0.001];
+
 /// Origin of the tray and of the pad in it, m. Source: the original.
 const TRAY_ORIGIN: [f64; 3] = [0.55, 0.0, 0.6751];
 
 /// Friction coefficient of all objects and furniture. Source: the original.
 const FRICTION: f64 = 1.0;
 
-/// Puts tray and pad into the world.
-pub fn insert_tray_and_pad(world: &mut World) {
+/// Puts table, tray and pad into the world.
+pub fn insert_furniture(world: &mut World) {
+    let scene_from_table = frames::pose(TABLE_ORIGIN, [0.0; 3]);
+    world.insert(Motion::Fixed, &scene_from_table, FRICTION, &Model::table().parts);
     for model in [Model::tray(), Model::pad()] {
         world.insert(Motion::Fixed, &scene_from_tray(), FRICTION, &model.parts);
     }
@@ -323,18 +328,15 @@ impl PsmArm {
         let jaw = if self.paper.jaw { "jaw" } else { "ignored (jaw)" };
         let (frame, mut names) = match self.mode {
             ActionMode::Paper => ("scene", vec!["dx", "dy", "dz", turn]),
-            ActionMode::Cartesian => (
-                "scene",
-                vec!["dx", "dy", "dz", "rotation x", "rotation y", "rotation z"],
-            ),
-            ActionMode::CartesianAbs => (
-                "scene",
-                vec!["x", "y", "z", "rotation x", "rotation y", "rotation z"],
-            ),
-            ActionMode::Joint => (
-                "joint",
-                vec!["yaw", "pitch", "insertion", "roll", "wrist pitch", "wrist yaw"],
-            ),
+            ActionMode::Cartesian => {
+                ("scene", vec!["dx", "dy", "dz", "rotation x", "rotation y", "rotation z"])
+            }
+            ActionMode::CartesianAbs => {
+                ("scene", vec!["x", "y", "z", "rotation x", "rotation y", "rotation z"])
+            }
+            ActionMode::Joint => {
+                ("joint", vec!["yaw", "pitch", "insertion", "roll", "wrist pitch", "wrist yaw"])
+            }
         };
         names.push(jaw);
         names.iter().map(|name| options::action_element(name, frame)).collect()
@@ -368,7 +370,8 @@ impl PsmArm {
     fn decode(&self, action: &[f32]) -> (Pose, f64) {
         let now = &self.scene_from_wrist;
         let number = |index: usize| f64::from(action[index]);
-        let vector = |first: usize| Vector3::new(number(first), number(first + 1), number(first + 2));
+        let vector =
+            |first: usize| Vector3::new(number(first), number(first + 1), number(first + 2));
         let graded = JAW_CLOSED + (JAW_OPEN - JAW_CLOSED) * 0.5 * (number(action.len() - 1) + 1.0);
         let (target, jaw) = match self.mode {
             ActionMode::Paper => {
@@ -508,9 +511,7 @@ mod tests {
         let mut seen = [0.0; PsmArm::OBSERVED];
         arm.observe(&mut seen);
         let quarter = std::f32::consts::FRAC_PI_2;
-        for (found, expected) in
-            seen.iter().zip([0.5, 0.05, 0.7552, -quarter, 0.0, quarter, 0.0])
-        {
+        for (found, expected) in seen.iter().zip([0.5, 0.05, 0.7552, -quarter, 0.0, quarter, 0.0]) {
             assert!((found - expected).abs() < 1e-6, "{seen:?}");
         }
     }
@@ -568,7 +569,7 @@ mod tests {
     #[test]
     fn a_needle_lies_on_pad_and_workspace_and_stays_where_it_is_laid() {
         let mut world = World::new(Solver::LIGHT);
-        insert_tray_and_pad(&mut world);
+        insert_furniture(&mut world);
         let needle = Needle::insert(&mut world, Preset::Paper);
         let mut rng = Rng::new(3, 0);
         for _ in 0..20 {
