@@ -3,8 +3,8 @@
 //! Within an environment step the wrist follows a smoothstep profile, so its velocity is
 //! continuous and zero at both ends. Two rules belong to the model's definition:
 //!
-//! - **Yield**: where an object that is in the way pushes back too hard or cannot give way any
-//!   further, the instrument goes back along its path instead of forward.
+//! - **Yield**: where an object that is in the way pushes back too hard or is pressed into what is
+//!   behind it, the instrument goes back along its path instead of forward; just before, it waits.
 //! - **Quiescence**: while every free object sleeps and the instrument's swept volume meets none,
 //!   the instrument moves and no substep runs, since nothing else would change.
 
@@ -12,10 +12,11 @@ use nalgebra::{Point3, UnitQuaternion, Vector3};
 
 use super::frames::{self, Aabb, Pose};
 use super::world::{BodyId, Motion, Part, Push, Shape, World};
+use crate::robots::Psm;
 
 /// From the wrist-yaw axis to the tip of the closed jaws, m, along the approach axis (the z axis
-/// of the wrist frame). Source: dVRK's "yaw to control point" of Large Needle Drivers.
-pub const TIP_OFFSET: f64 = 0.0102;
+/// of the wrist frame).
+pub const TIP_OFFSET: f64 = Psm::TIP_DISTANCE;
 
 /// Jaw angle of closed jaws, rad. The angle is the opening between both fingers.
 pub const JAW_CLOSED: f64 = 0.0;
@@ -146,7 +147,7 @@ impl Instrument {
         let along = |done: u32| start.towards(&end, smoothstep(done, substeps));
         let mut done = 0;
         let mut push = Push::NONE;
-        for substep in 0..substeps {
+        for _ in 0..substeps {
             if world.at_rest() {
                 push = Push::NONE;
                 if !world.object_in(&swept(&self.posture, &end)) {
@@ -167,7 +168,6 @@ impl Instrument {
             };
             self.drive(world, along(done));
             push = self.push(world);
-            debug_assert!(done <= substep + 1);
         }
         smoothstep(done, substeps)
     }
@@ -244,6 +244,7 @@ fn smoothstep(done: u32, total: u32) -> f64 {
 }
 
 #[cfg(test)]
+#[expect(clippy::float_cmp, reason = "these results are exact")]
 mod tests {
     use super::*;
     use crate::sim::world::Solver;

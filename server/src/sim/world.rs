@@ -6,9 +6,9 @@
 use nalgebra::{Point3, Vector3};
 use rapier3d::dynamics::SpringCoefficients;
 use rapier3d::prelude::{
-    BroadPhaseBvh, CCDSolver, ColliderBuilder, ColliderHandle, ColliderSet, FrictionModel,
-    ImpulseJointSet, IntegrationParameters, IslandManager, MultibodyJointSet, NarrowPhase,
-    PhysicsPipeline, RigidBodyBuilder, RigidBodyHandle, RigidBodySet, SoftBodySet,
+    BroadPhaseBvh, CCDSolver, ColliderBuilder, ColliderHandle, ColliderSet, ContactPair,
+    FrictionModel, ImpulseJointSet, IntegrationParameters, IslandManager, MultibodyJointSet,
+    NarrowPhase, PhysicsPipeline, RigidBodyBuilder, RigidBodyHandle, RigidBodySet, SoftBodySet,
 };
 
 use super::frames::{self, Aabb, Pose, SCALE};
@@ -176,7 +176,7 @@ impl World {
             contact_recycling: true,
             normalized_contact_recycle_distance: RECYCLE_DISTANCE,
             contact_clustering: false, // `push_on` reads the manifolds
-            max_ccd_substeps: 0,
+            max_ccd_substeps: 1, // a needle that falls 5 mm moves by more than its wire's radius a substep
             ..IntegrationParameters::default()
         };
         Self {
@@ -206,10 +206,7 @@ impl World {
             Motion::Fixed => (RigidBodyBuilder::fixed(), 0.0),
             Motion::Driven => (RigidBodyBuilder::kinematic_position_based(), 0.0),
             Motion::Free { mass } => {
-                let builder = RigidBodyBuilder::dynamic()
-                    .sleeping(true)
-                    .soft_ccd_prediction((FORESIGHT * SCALE) as f32);
-                (builder, mass / parts.len() as f64)
+                (RigidBodyBuilder::dynamic().sleeping(true), mass / parts.len() as f64)
             }
         };
         let body = self.bodies.insert(builder.pose(frames::to_engine(world_from_body)));
@@ -333,7 +330,7 @@ impl World {
         let body = self.colliders[part].parent().expect("every collider belongs to a body");
         let parts = self.bodies[body].colliders().iter();
         let pairs = parts.flat_map(|part| self.narrow_phase.contact_pairs_with(*part));
-        let contacts = pairs.flat_map(|pair| pair.manifolds()).flat_map(|each| &each.points);
+        let contacts = pairs.flat_map(ContactPair::manifolds).flat_map(|each| &each.points);
         contacts.fold(0.0, |deepest, contact| deepest.max(-f64::from(contact.dist) / SCALE))
     }
 
@@ -351,10 +348,6 @@ impl World {
 
 /// Damping ratio of contacts: above 1, since they must not bounce.
 const CONTACT_DAMPING: f32 = 5.0;
-
-/// How far ahead contacts of moving objects are foreseen, m: at 1 m/s an object moves 4 mm in a
-/// substep, eight times the radius of a needle's wire.
-const FORESIGHT: f64 = 0.005;
 
 /// Size of what is simulated, m: the engine's tolerances are fractions of it.
 const LENGTH_UNIT: f64 = 0.01;
