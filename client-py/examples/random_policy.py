@@ -1,43 +1,35 @@
-"""Random actions in many environments at once: ``python random_policy.py --help``."""
+"""Opens 16 environments, half for the scripted expert and half for random actions.
 
-from __future__ import annotations
+Prints how many of each ended in success.
 
-import argparse
-import time
+    trocar serve --name lab &
+    python random_policy.py lab
+"""
+
+import sys
 
 import gymnasium as gym
+import numpy as np
 
 import trocar
 
 
 def main() -> None:
-    """Steps environments for a while, then says how they did."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--task", default="NeedleReach-v0", choices=trocar.registration.TASKS)
-    parser.add_argument("--server", help="name of a running server (default: a private one)")
-    parser.add_argument("--envs", type=int, default=16)
-    parser.add_argument("--steps", type=int, default=200)
-    parser.add_argument("--seed", type=int, default=0)
-    arguments = parser.parse_args()
-
-    envs = gym.make_vec(
-        f"trocar/{arguments.task}", num_envs=arguments.envs, server=arguments.server
-    )
-    envs.reset(seed=arguments.seed)
-    envs.action_space.seed(arguments.seed)
-    successes = episodes = 0
-    start = time.perf_counter()
-    for _ in range(arguments.steps):
-        _, _, terminated, truncated, infos = envs.step(envs.action_space.sample())
-        ended = terminated | truncated
-        episodes += int(ended.sum())
-        successes += int(infos["is_success"][ended].sum())
-    seconds = time.perf_counter() - start
+    """Plays one episode in every environment."""
+    server = sys.argv[1] if len(sys.argv) > 1 else None
+    envs = gym.make_vec("trocar/NeedleReach-v0", num_envs=16, server=server, expert=True)
+    assert isinstance(envs, trocar.TrocarVectorEnv)
+    random = np.random.default_rng(1)
+    _, infos = envs.reset(seed=0)
+    while True:
+        actions = infos["expert_action"]
+        actions[8:] = random.uniform(-1, 1, actions[8:].shape)
+        _, _, _, truncated, infos = envs.step(actions)
+        if truncated[0]:
+            expert, other = infos["is_success"][:8].sum(), infos["is_success"][8:].sum()
+            print(f"expert: {expert} of 8, random: {other} of 8")
+            break
     envs.close()
-
-    steps = arguments.envs * arguments.steps
-    print(f"{arguments.task}: {episodes} episodes, {successes} successes")
-    print(f"{steps} steps in {seconds:.2f} s: {steps / seconds:.0f} steps/s")
 
 
 if __name__ == "__main__":

@@ -10,6 +10,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
+from numpy.typing import NDArray
 
 import trocar
 from trocar._trocar import Client
@@ -20,6 +21,12 @@ def make(task: str, server: str, **options: Any) -> trocar.TrocarEnv:
     env = gym.make(f"trocar/{task}", server=server, **options).unwrapped
     assert isinstance(env, trocar.TrocarEnv)
     return env
+
+
+def constant(env: trocar.TrocarEnv | trocar.TrocarVectorEnv, value: float) -> NDArray[np.float32]:
+    """The same number in every element of an action."""
+    assert env.action_space.shape is not None
+    return np.full(env.action_space.shape, value, np.float32)
 
 
 def same(a: Any, b: Any) -> bool:
@@ -35,15 +42,15 @@ def trajectory(env: trocar.TrocarEnv, steps: int = 60, seed: int = 5) -> list[An
     rng = np.random.default_rng(seed)
     taken: list[Any] = [env.reset(seed=seed)]
     for _ in range(steps):
-        taken.append(env.step(rng.uniform(-1, 1, env.action_space.shape)))
+        taken.append(env.step(rng.uniform(-1, 1, len(env.task_spec.action))))
         if taken[-1][2] or taken[-1][3]:
             taken.append(env.reset())
     return taken
 
 
 def test_gymnasiums_checker_is_content(task: str, server: str) -> None:
-    env = gym.make(f"trocar/{task}", server=server)
-    check_env(env.unwrapped)
+    env = make(task, server)
+    check_env(env)
     env.close()
 
 
@@ -61,12 +68,12 @@ def test_time_limit_of_gymnasium_and_server_agree(task: str, server: str) -> Non
     wrapped, bare = gym.make(f"trocar/{task}", server=server), make(task, server)
     for env in (wrapped, bare):
         env.reset(seed=0)
-    action = np.zeros(bare.action_space.shape, np.float32)
+    action = constant(bare, 0)
     for step in range(1, TASKS[task] + 1):
         truncated = [env.step(action)[3] for env in (wrapped, bare)]
         assert truncated == [step == TASKS[task]] * 2
-    wrapped.close()
-    bare.close()
+    for env in (wrapped, bare):
+        env.close()
 
 
 def test_spaces_are_finite_and_hold_what_is_returned(task: str, server: str) -> None:
@@ -136,7 +143,7 @@ def test_observations_are_owned_by_the_caller(task: str, server: str) -> None:
     env = make(task, server)
     first, _ = env.reset(seed=0)
     kept = copy.deepcopy(first)
-    env.step(np.ones(env.action_space.shape, np.float32))
+    env.step(constant(env, 1))
     assert same(first, kept)
     first["observation"][:] = 0
     env.close()
@@ -144,7 +151,7 @@ def test_observations_are_owned_by_the_caller(task: str, server: str) -> None:
 
 def test_views_are_read_only_and_live_for_one_more_step(task: str, server: str) -> None:
     env, copied = make(task, server, copy=False), make(task, server)
-    action = np.full(env.action_space.shape, 0.5, np.float32)
+    action = constant(env, 0.5)
     view, _ = env.reset(seed=0)
     expected, _ = copied.reset(seed=0)
     for _ in range(20):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -32,7 +34,8 @@ def test_computed_rewards_are_those_of_the_steps(env: trocar.TrocarEnv) -> None:
     achieved = np.array([observation["achieved_goal"] for observation in observations])
     desired = np.array([observation["desired_goal"] for observation in observations])
     expected = np.array(rewards, np.float32)
-    for infos in ([{}] * len(rewards), {}, np.array([{}] * len(rewards))):
+    batches: list[Any] = [[{}] * len(rewards), {}, np.array([{}] * len(rewards))]
+    for infos in batches:
         computed = env.compute_reward(achieved, desired, infos)
         assert computed.dtype == np.float32
         assert computed.tobytes() == expected.tobytes()

@@ -10,7 +10,7 @@ import time
 import numpy as np
 import pytest
 from conftest import Script, alive, eventually, hear, left_behind, say
-from test_env import make, same
+from test_env import constant, make, same
 from test_vector import make_vec
 
 import trocar
@@ -196,7 +196,7 @@ def test_a_killed_client_leaves_the_others_bits_alone(
     assert len(own_server.status()["sessions"]) == 3
     envs.reset(seed=0)
     expected.reset(seed=0)
-    actions = np.full(envs.action_space.shape, 0.1, np.float32)
+    actions = constant(envs, 0.1)
     process.kill()
     for _ in range(40):
         assert same(envs.step(actions)[0], expected.step(actions)[0])
@@ -227,7 +227,8 @@ def test_a_forked_child_opens_a_session_of_its_own(server: str, script: Script) 
             os._exit(0)
         assert os.waitpid(child, 0)[1] == 0
         for _ in range(10):
-            assert (env.step(action)[0]["observation"] == other.step(action)[0]["observation"]).all()
+            one, two = env.step(action)[0], other.step(action)[0]
+            assert (one["observation"] == two["observation"]).all()
         env.close()
         other.close()
         print("done")

@@ -76,6 +76,7 @@ def test_a_session_of_many_is_many_sessions_of_one(task: str, mode: str, server:
     def reset(seed: Any, mask: Any) -> None:
         options = [None if mask is None else {"reset_mask": mask.copy()} for _ in range(2)]
         observations, infos = envs.reset(seed=seed, options=options[0])
+        expected: Any
         expected, expected_infos = singles.reset(seed=seed, options=options[1])
         assert same(observations, expected)
         check_same_infos(infos, expected_infos)

@@ -111,7 +111,7 @@ class TrocarEnv(GoalFunctions, gym.Env[Observation, NDArray[np.float32]]):
             raise refuse(InvalidOption, "expert", False, "make the environment with expert=True")
         if self._expert_action is None:
             raise ResetNeeded("the expert needs a state; reset the environment first")
-        return self._expert_action.copy()
+        return np.array(self._expert_action)
 
     def render(self) -> None:
         """Renders nothing, which is the only render mode."""

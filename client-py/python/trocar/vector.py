@@ -78,8 +78,8 @@ class TrocarVectorEnv(
         Raises:
             ValueError: An option is unknown or not allowed; the message lists what is.
         """
-        check_render_mode(render_mode)
         self.closed = True  # until there is something to close
+        check_render_mode(render_mode)
         self.autoreset_mode = _autoreset_mode(autoreset_mode)
         self._connection = Connection(
             task,
