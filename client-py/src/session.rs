@@ -211,7 +211,7 @@ fn start_step(
     let rows = env_ids.map_or(session.envs(), <[u32]>::len);
     // A single environment may leave out the axis of environments.
     let expected = [rows, session.spec().action_dim()];
-    let expected = if rows == 1 && actions.shape.len() == 1 { &expected[1..] } else { &expected };
+    let expected = if rows == 1 && actions.shape.len() != 2 { &expected[1..] } else { &expected };
     check_shape(py, &actions.shape, expected, "action", Code::InvalidAction)?;
     session.start_step(env_ids, &actions.values).map_err(|error| error::call(py, error))
 }

@@ -103,7 +103,12 @@ class Connection:
     ) -> None:
         self.expert = expert
         self._server = server
-        self._request = {"task": task, "envs": envs, "autoreset": autoreset, "options": options}
+        self._request: dict[str, Any] = {
+            "task": task,
+            "envs": envs,
+            "autoreset": autoreset,
+            "options": options,
+        }
         self._closed = False
         self._client: _trocar.Client | None = None
         self._session: _trocar.Session | None = None

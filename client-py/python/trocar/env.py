@@ -31,7 +31,8 @@ class TrocarEnv(GoalFunctions, gym.Env[Observation, NDArray[np.float32]]):
     by the server at the task's number of steps.
 
     ``reset(seed=s)`` begins the first episode of seed ``s``, ``reset()`` the next one; which one it
-    was, ``info["seed"]`` and ``info["episode"]`` tell. Without any seed, a random one is drawn.
+    was, ``info["episode_seed"]`` and ``info["episode_index"]`` tell. Without any seed, a random one
+    is drawn.
 
     A copy, pickled or deep, has no session; its first ``reset`` opens one. So does a reset in a
     forked child process, and a reset after the server was lost. Until then steps raise
@@ -92,7 +93,7 @@ class TrocarEnv(GoalFunctions, gym.Env[Observation, NDArray[np.float32]]):
             seeds = np.array([seed], np.uint64)
         super().reset(seed=seed)
         reply = self._connection.reset(None, seeds)
-        info = {"seed": int(reply.seed()[0]), "episode": int(reply.episode()[0])}
+        info = {"episode_seed": int(reply.seed()[0]), "episode_index": int(reply.episode()[0])}
         return self._observation(reply, info), info
 
     def step(self, action: ArrayLike) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
@@ -110,7 +111,7 @@ class TrocarEnv(GoalFunctions, gym.Env[Observation, NDArray[np.float32]]):
             raise refuse(InvalidOption, "expert", False, "make the environment with expert=True")
         if self._expert_action is None:
             raise ResetNeeded("the expert needs a state; reset the environment first")
-        return self._expert_action.copy()
+        return np.array(self._expert_action)
 
     def render(self) -> None:
         """Renders nothing, which is the only render mode."""

@@ -28,6 +28,9 @@ from trocar.errors import InvalidEnvIds, InvalidOption, InvalidRequest, ResetNee
 Step = tuple[Observation, NDArray[np.float32], NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]
 """Observations, rewards, terminations, truncations, infos; a row for each environment."""
 
+EPISODE = ("episode_seed", "episode_index")
+"""Infos that say which episode began; ``episode`` alone is what Gymnasium's recorders use."""
+
 
 class TrocarVectorEnv(
     GoalFunctions, gym.vector.VectorEnv[Observation, NDArray[np.float32], NDArray[Any]]
@@ -36,8 +39,8 @@ class TrocarVectorEnv(
 
     What is said of :class:`~trocar.TrocarEnv` holds for each of them. Infos are Gymnasium's: an
     array per key, and under ``_key`` where it applies. ``is_success`` tells of every transition,
-    also where ``same_step`` autoreset began a new episode; ``seed`` and ``episode`` tell of the
-    episodes that began. ``same_step`` adds ``final_obs`` and ``final_info``.
+    also where ``same_step`` autoreset began a new episode; ``episode_seed`` and ``episode_index``
+    tell of the episodes that began. ``same_step`` adds ``final_obs`` and ``final_info``.
 
     Instead of :meth:`step`, up to two disjoint groups of environments may be under way by
     :meth:`send` and :meth:`recv`: while one is simulated, the other's actions can be computed.
@@ -75,8 +78,8 @@ class TrocarVectorEnv(
         Raises:
             ValueError: An option is unknown or not allowed; the message lists what is.
         """
-        check_render_mode(render_mode)
         self.closed = True  # until there is something to close
+        check_render_mode(render_mode)
         self.autoreset_mode = _autoreset_mode(autoreset_mode)
         self._connection = Connection(
             task,
@@ -140,10 +143,10 @@ class TrocarVectorEnv(
                 given = numbers[part] if seeded[part].all() else None
                 self._latest.part(self._connection.reset(env_ids, given))
         latest = self._latest.arrays(self._copy)
-        infos = _masked(chosen, seed=latest.pop("seed"), episode=latest.pop("episode"))
-        expert_action = latest.pop("expert_action")
+        expert_action = np.array(latest.pop("expert_action"))
+        infos = _masked(chosen, **{name: latest.pop(name) for name in EPISODE})
         if self._connection.expert:
-            infos |= _masked(chosen, expert_action=np.array(expert_action))
+            infos |= _masked(chosen, expert_action=expert_action)
         return latest, infos
 
     def step(self, actions: ArrayLike) -> Step:
@@ -218,7 +221,7 @@ class TrocarVectorEnv(
         acted = ~begun if self.autoreset_mode is AutoresetMode.NEXT_STEP else everyone
         infos = _masked(acted, is_success=reply.is_success())
         if begun.any():
-            infos |= _masked(begun, seed=_signed(reply.seed()), episode=_signed(reply.episode()))
+            infos |= _masked(begun, **_episodes(reply))
             if self.autoreset_mode is AutoresetMode.SAME_STEP:
                 infos |= _final(reply, begun)
         failed = reply.fault()
@@ -305,15 +308,16 @@ class _Latest:
 def _arrays(reply: _trocar.Reply, copy: bool) -> dict[str, NDArray[Any]]:
     return {
         **observation(reply, copy),
-        "seed": _signed(reply.seed()),
-        "episode": _signed(reply.episode()),
+        **_episodes(reply),
         "expert_action": reply.expert_action(copy),
     }
 
 
-def _signed(numbers: NDArray[np.uint64]) -> NDArray[np.int64]:
-    """Seeds are below 2**63; Gymnasium collects Python's integers as int64."""
-    return numbers.astype(np.int64)
+def _episodes(reply: _trocar.Reply) -> dict[str, NDArray[Any]]:
+    """Which episodes these are; seeds are below 2**63, and Gymnasium collects integers as int64."""
+    return dict(
+        zip(EPISODE, (reply.seed().astype(np.int64), reply.episode().astype(np.int64)), strict=True)
+    )
 
 
 def _masked(mask: NDArray[np.bool_], **values: NDArray[Any]) -> dict[str, Any]:
