@@ -24,7 +24,7 @@ use display::Display;
 use process::Process;
 
 /// How long clients may be silent.
-const PATIENCE: Duration = Duration::from_secs(60);
+const PATIENCE: Duration = Duration::from_mins(1);
 
 /// Show one server with a Rust and two Python clients at work.
 #[derive(Debug, Args)]

@@ -64,8 +64,8 @@ mod tests {
     fn times_and_shares_read_well() {
         assert_eq!(duration(Duration::from_secs(59)), "59 s");
         assert_eq!(duration(Duration::from_secs(61)), "1 min 1 s");
-        assert_eq!(duration(Duration::from_secs(7260)), "2 h 1 min");
-        assert_eq!(duration(Duration::from_secs(90_000)), "1 d 1 h");
+        assert_eq!(duration(Duration::from_mins(121)), "2 h 1 min");
+        assert_eq!(duration(Duration::from_hours(25)), "1 d 1 h");
         assert_eq!(percent(Some(0.995)), "99.5 %");
         assert_eq!(percent(None), "–");
     }

@@ -14,6 +14,8 @@ use crate::output;
 /// How often `--watch` looks.
 const INTERVAL: Duration = Duration::from_secs(1);
 
+static INTERRUPTED: AtomicBool = AtomicBool::new(false);
+
 /// Show running servers: who is connected and how fast they run.
 #[derive(Debug, Args)]
 #[command(after_help = "\
@@ -41,7 +43,6 @@ impl Status {
         if !self.watch {
             return self.show(&self.statuses()?);
         }
-        static INTERRUPTED: AtomicBool = AtomicBool::new(false);
         ctrlc::set_handler(|| INTERRUPTED.store(true, Ordering::Release))?;
         while !INTERRUPTED.load(Ordering::Acquire) {
             let start = Instant::now();
