@@ -1,1 +1,35 @@
-//! x
+//! `trocar._trocar`: the Python bindings of the Trocar client.
+//!
+//! Thin on purpose: connections, sessions, replies as arrays, errors. Spaces, environments and
+//! ids are Python (`python/trocar/`); physics is the server's.
+
+mod array;
+mod client;
+mod error;
+mod session;
+mod spec;
+mod wait;
+
+use pyo3::prelude::*;
+
+/// The module; its Python side is documented in `_trocar.pyi`.
+#[pymodule]
+fn _trocar(module: &Bound<'_, PyModule>) -> PyResult<()> {
+    module.add("__version__", env!("CARGO_PKG_VERSION"))?;
+    module.add("PRIVATE_SERVER", trocar_client::private::VARIABLE)?;
+    module.add("BINARY", trocar_client::private::BINARY)?;
+    module.add_class::<client::Client>()?;
+    module.add_class::<session::Session>()?;
+    module.add_class::<session::Reply>()?;
+    module.add_class::<spec::TaskSpec>()?;
+    module.add_class::<spec::Element>()?;
+    module.add_class::<spec::OptionSpec>()?;
+    module.add_function(wrap_pyfunction!(new_identity, module)?)?;
+    Ok(())
+}
+
+/// A name for a private server that nobody else has, with this process as its root.
+#[pyfunction]
+fn new_identity() -> String {
+    trocar_client::private::new_identity()
+}

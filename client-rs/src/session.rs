@@ -183,6 +183,11 @@ impl Session {
         }))
     }
 
+    /// Number of requests in flight whose replies were not given up on.
+    pub fn in_flight(&self) -> usize {
+        self.in_flight.iter().filter(|request| !request.abandoned).count()
+    }
+
     /// Gives up on the replies of all requests in flight (after an interrupted wait). They are
     /// still carried out; [`Self::settle`], or the next request, waits for that.
     pub fn abandon(&mut self) {

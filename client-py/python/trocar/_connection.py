@@ -1,0 +1,232 @@
+"""Connections to servers, shared by all environments of a process, and the sessions over them."""
+
+from __future__ import annotations
+
+import atexit
+import contextlib
+import os
+import secrets
+import threading
+import weakref
+from collections.abc import Callable, Mapping
+from typing import Any, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trocar import _trocar
+from trocar.errors import Closed, ResetNeeded, ServerLost, UnknownSession
+from trocar.server import binary
+
+SERVER = "TROCAR_SERVER"
+"""The environment variable that names the server to use where an environment names none."""
+
+_T = TypeVar("_T")
+
+_lock = threading.Lock()
+_clients: weakref.WeakValueDictionary[str, _trocar.Client] = weakref.WeakValueDictionary()
+_connections: weakref.WeakSet[Connection] = weakref.WeakSet()
+
+
+def connect(server: str | None = None) -> _trocar.Client:
+    """The connection of this process to a server; it ends with its last user.
+
+    Args:
+        server: Its name; ``None`` for ``$TROCAR_SERVER``, else the private server of this process
+            tree, which is started if it does not run.
+    """
+    name = server if server is not None else os.environ.get(SERVER)
+    key = f"name {name}" if name is not None else f"private {_private_identity()}"
+    with _lock:
+        client = _clients.get(key)
+        if client is None:
+            if name is not None:
+                client = _trocar.Client.connect(name)
+            else:
+                client = _trocar.Client.launch(_private_identity(), binary())
+            _clients[key] = client
+        return client
+
+
+def status(server: str | None = None) -> dict[str, Any]:
+    """Who is connected to a server and how fast it runs, as ``trocar status --json`` prints it."""
+    return connect(server).status()
+
+
+def _forget(client: _trocar.Client) -> None:
+    """The next to connect shall not get this connection any more."""
+    with _lock:
+        for key in [key for key, known in _clients.items() if known is client]:
+            del _clients[key]
+
+
+def _private_identity() -> str:
+    """What the private server of this process tree is called; child processes inherit it."""
+    identity = os.environ.get(_trocar.PRIVATE_SERVER)
+    if identity is None:
+        identity = os.environ[_trocar.PRIVATE_SERVER] = _trocar.new_identity()
+    return identity
+
+
+def _outlived(identity: str) -> bool:
+    """Whether the process whose end that private server follows has ended already."""
+    try:
+        os.kill(int(identity.rpartition(":")[2]), 0)
+    except ProcessLookupError:
+        return True
+    except (OSError, ValueError):
+        return False
+    return False
+
+
+class Connection:
+    """One session, as wished for: opened, and opened anew after a fork or the loss of the server.
+
+    Args:
+        task: Task id without namespace.
+        server: Name of the server, or ``None``.
+        envs: Number of environments.
+        autoreset: ``NextStep``, ``SameStep`` or ``Disabled``.
+        expert: Whether replies carry the scripted expert's actions.
+        options: The task's options.
+    """
+
+    def __init__(
+        self,
+        task: str,
+        *,
+        server: str | None,
+        envs: int,
+        autoreset: str,
+        expert: bool,
+        options: Mapping[str, Any],
+    ) -> None:
+        self.expert = expert
+        self._server = server
+        self._request: dict[str, Any] = {
+            "task": task,
+            "envs": envs,
+            "autoreset": autoreset,
+            "options": options,
+        }
+        self._closed = False
+        self._client: _trocar.Client | None = None
+        self._session: _trocar.Session | None = None
+        self._process = 0
+        self.spec = self._open().spec
+        _connections.add(self)
+
+    def reset(
+        self,
+        env_ids: NDArray[np.uint32] | None = None,
+        seeds: NDArray[np.uint64] | None = None,
+    ) -> _trocar.Reply:
+        """Resets environments; a reset of all opens the session anew where that is needed."""
+        if self._closed:
+            raise Closed("the environment was closed")
+        foreign = self._process != os.getpid()
+        if env_ids is None and (self._session is None or foreign):
+            self._open()
+        return self._try(lambda session: session.reset(env_ids, seeds))
+
+    def step(self, actions: Any) -> _trocar.Reply:
+        """Steps all environments."""
+        return self._try(lambda session: session.step(actions))
+
+    def send(self, actions: Any, env_ids: NDArray[np.uint32]) -> None:
+        """Starts a step of some environments."""
+        self._try(lambda session: session.send(actions, env_ids))
+
+    def recv(self) -> _trocar.Reply:
+        """Waits for the oldest of the steps that were started."""
+        return self._try(lambda session: session.recv())
+
+    def abandon(self) -> None:
+        """Gives up on the replies in flight."""
+        if self._session is not None and self._process == os.getpid():
+            self._session.abandon()
+
+    @property
+    def closed(self) -> bool:
+        """Whether :meth:`close` was called."""
+        return self._closed
+
+    def close(self) -> None:
+        """Ends the session; twice does no harm."""
+        self._closed = True
+        self._drop()
+
+    def _open(self) -> _trocar.Session:
+        """Opens a session whose seed nobody knows, as Gymnasium wants it without a seed."""
+        self._drop()
+        seed = secrets.randbits(62)
+        for attempt in range(2):
+            client = connect(self._server)
+            try:
+                session = client.open(seed=seed, **self._request)
+                break
+            except ServerLost:
+                # The connection was made before the server was started anew.
+                _forget(client)
+                if attempt == 1:
+                    raise
+        session.want_expert(self.expert)
+        self._client, self._session, self._process = client, session, os.getpid()
+        return session
+
+    def _try(self, request: Callable[[_trocar.Session], _T]) -> _T:
+        if self._closed:
+            raise Closed("the environment was closed")
+        if self._session is None:
+            raise ResetNeeded("the environment has no session; reset all of it first")
+        try:
+            return request(self._session)
+        except (ServerLost, UnknownSession):
+            if self._client is not None:
+                _forget(self._client)
+            self._drop()
+            raise
+
+    def _drop(self) -> None:
+        session, self._session, self._client = self._session, None, None
+        if session is not None and self._process == os.getpid():
+            session.close()
+
+    def __getstate__(self) -> dict[str, Any]:
+        """What to open, and not what is open: a copy opens a session of its own when reset."""
+        return {**self.__dict__, "_session": None, "_client": None, "_process": 0}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        _connections.add(self)
+
+    def __del__(self) -> None:
+        # Attributes are missing where `__init__` failed early.
+        if getattr(self, "_session", None) is not None:
+            self.close()
+
+
+@atexit.register
+def _close_all() -> None:
+    for connection in list(_connections):
+        # Whatever fails here fails because the server is gone, and the session with it.
+        with contextlib.suppress(Exception):
+            connection.close()
+
+
+def _after_fork_in_child() -> None:
+    """A child shares nothing: not the lock, not the connections, not the duty to close them."""
+    global _lock, _clients, _connections
+    _lock = threading.Lock()
+    _clients = weakref.WeakValueDictionary()
+    _connections = weakref.WeakSet()
+
+
+os.register_at_fork(after_in_child=_after_fork_in_child)
+
+# Now, so that whatever processes this one starts agree on the server. A name inherited from a
+# process that has ended would lead to a server that ends at once.
+if SERVER not in os.environ:
+    if _outlived(os.environ.get(_trocar.PRIVATE_SERVER, "")):
+        del os.environ[_trocar.PRIVATE_SERVER]
+    _private_identity()

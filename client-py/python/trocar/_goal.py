@@ -1,0 +1,113 @@
+"""What environments and vector environments have in common: spaces, and functions of goals."""
+
+from __future__ import annotations
+
+import operator
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from gymnasium import spaces
+from numpy.typing import ArrayLike, NDArray
+
+from trocar import _trocar
+from trocar.errors import InvalidOption, InvalidRequest, refuse
+
+Observation = dict[str, NDArray[np.float32]]
+"""Arrays by name: ``observation``, and ``achieved_goal``, ``desired_goal`` for tasks with goals."""
+
+LARGEST_SEED = 2**63 - 1
+"""Seeds are below 2**63, so that they fit into NumPy's integers."""
+
+
+class GoalFunctions:
+    """Rewards as pure functions of goals, for one pair of goals or any batch of them.
+
+    The functions are those that the server uses, so relabelled transitions (hindsight experience
+    replay) get exactly the reward that the server would have given.
+    """
+
+    task_spec: _trocar.TaskSpec
+
+    def compute_reward(
+        self, achieved_goal: ArrayLike, desired_goal: ArrayLike, info: Any = None
+    ) -> Any:
+        """Rewards of goals of shape (..., goal dim): float32 of shape (...).
+
+        Args:
+            achieved_goal: Goals that were achieved.
+            desired_goal: Goals that were desired, of the same shape.
+            info: Not used; there for the interface that hindsight replay expects.
+        """
+        del info
+        return self.task_spec.compute_reward(achieved_goal, desired_goal)[()]
+
+    def compute_terminated(
+        self, achieved_goal: ArrayLike, desired_goal: ArrayLike, info: Any = None
+    ) -> Any:
+        """Whether episodes end at these goals: never; bool of shape (...)."""
+        del info
+        return np.zeros_like(self.task_spec.compute_success(achieved_goal, desired_goal))[()]
+
+    def compute_truncated(
+        self, achieved_goal: ArrayLike, desired_goal: ArrayLike, info: Any = None
+    ) -> Any:
+        """Whether episodes are cut short at these goals: never, that is up to the time limit."""
+        return self.compute_terminated(achieved_goal, desired_goal, info)
+
+    def compute_success(self, achieved_goal: ArrayLike, desired_goal: ArrayLike) -> Any:
+        """Whether goals of shape (..., goal dim) are reached: bool of shape (...)."""
+        return self.task_spec.compute_success(achieved_goal, desired_goal)[()]
+
+
+def action_space(spec: _trocar.TaskSpec) -> spaces.Box:
+    """The actions of one environment."""
+    return _box(spec.action)
+
+
+def observation_space(spec: _trocar.TaskSpec) -> spaces.Dict:
+    """The observations of one environment."""
+    parts = {"observation": _box(spec.observation)}
+    if spec.goal is not None:
+        parts |= {"achieved_goal": _box(spec.goal), "desired_goal": _box(spec.goal)}
+    return spaces.Dict(dict(sorted(parts.items())))
+
+
+def _box(elements: Sequence[_trocar.Element]) -> spaces.Box:
+    low, high = ([getattr(element, end) for element in elements] for end in ("min", "max"))
+    return spaces.Box(np.array(low, np.float32), np.array(high, np.float32), dtype=np.float32)
+
+
+def observation(reply: _trocar.Reply, copy: bool) -> Observation:
+    """The state that a reply brings: arrays of shape (rows, ...)."""
+    arrays = {"observation": reply.observation(copy)}
+    if reply.has_goals:
+        arrays["achieved_goal"] = reply.achieved_goal(copy)
+        arrays["desired_goal"] = reply.desired_goal(copy)
+    return arrays
+
+
+def final_observation(reply: _trocar.Reply) -> Observation:
+    """The last state of episodes that the same step replaced: arrays of shape (rows, ...)."""
+    arrays = {"observation": reply.final_observation()}
+    if reply.has_goals:
+        arrays["achieved_goal"] = reply.final_achieved_goal()
+        arrays["desired_goal"] = reply.final_desired_goal()
+    return arrays
+
+
+def check_seed(seed: Any, field: str = "seed") -> int:
+    """The seed as a number, if it is one that is allowed."""
+    try:
+        number = operator.index(seed)
+    except TypeError:
+        number = -1
+    if not 0 <= number <= LARGEST_SEED:
+        raise refuse(InvalidRequest, field, seed, f"allowed are integers from 0 to {LARGEST_SEED}")
+    return number
+
+
+def check_render_mode(mode: str | None) -> None:
+    """An error unless nothing shall be rendered."""
+    if mode is not None:
+        raise refuse(InvalidOption, "render_mode", mode, "allowed is None")

@@ -1,0 +1,241 @@
+"""Python bindings of the Trocar client: connections, sessions, replies as arrays, errors.
+
+Everything that waits lets other threads run, and Ctrl-C interrupts it. Exceptions are those of
+`trocar.errors`.
+"""
+
+import os
+from collections.abc import Mapping
+from typing import Any, Literal, final
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+__all__ = [
+    "BINARY",
+    "PRIVATE_SERVER",
+    "Client",
+    "Element",
+    "OptionSpec",
+    "Reply",
+    "Session",
+    "TaskSpec",
+    "__version__",
+    "new_identity",
+]
+
+__version__: str
+PRIVATE_SERVER: str
+BINARY: str
+
+def new_identity() -> str:
+    """A name for a private server that nobody else has, with this process as its root."""
+
+@final
+class Client:
+    """A connection to one server; it ends with the last of this object and its sessions."""
+
+    @staticmethod
+    def connect(name: str) -> Client:
+        """Connects to the running server of that name."""
+    @staticmethod
+    def launch(identity: str, binary: str | os.PathLike[str]) -> Client:
+        """Connects to a private server, which ``binary`` is started for if need be."""
+    @property
+    def name(self) -> str:
+        """The server's name."""
+    @property
+    def pid(self) -> int:
+        """The server's process id, in its own process namespace."""
+    @property
+    def epoch(self) -> int:
+        """The run of the server: a restarted one has another."""
+    @property
+    def version(self) -> str:
+        """Version of the server's program."""
+    @property
+    def max_envs(self) -> int:
+        """Most environments that one session may have."""
+    def tasks(self) -> list[str]:
+        """The ids of the tasks that the server offers."""
+    def describe(self, task: str, options: Mapping[str, Any] | None = None) -> TaskSpec:
+        """What a task looks like under some options."""
+    def open(
+        self,
+        task: str,
+        *,
+        envs: int,
+        seed: int,
+        autoreset: str,
+        options: Mapping[str, Any] | None = None,
+    ) -> Session:
+        """Opens a session: one task, N environments, one seed, its options."""
+    def status(self) -> dict[str, Any]:
+        """Who is connected, and how fast it runs."""
+    def shut_down(self) -> None:
+        """Ends the server, for all of its clients."""
+
+@final
+class Session:
+    """N environments of one task, which live in the server until this is closed."""
+
+    @property
+    def id(self) -> int:
+        """Its number, unique in this run of the server."""
+    @property
+    def epoch(self) -> int:
+        """The run of the server."""
+    @property
+    def envs(self) -> int:
+        """Number of environments."""
+    @property
+    def spec(self) -> TaskSpec:
+        """The task under the session's options."""
+    @property
+    def closed(self) -> bool:
+        """Whether it was closed."""
+    def want_expert(self, wanted: bool) -> None:
+        """Whether replies shall carry the scripted expert's action."""
+    def in_flight(self) -> int:
+        """Number of requests whose replies can be received."""
+    def reset(
+        self, env_ids: NDArray[np.uint32] | None = None, seeds: NDArray[np.uint64] | None = None
+    ) -> Reply:
+        """Resets environments and waits; with another request in flight it is refused."""
+    def step(self, actions: ArrayLike) -> Reply:
+        """Steps all environments and waits; with another request in flight it is refused."""
+    def send(self, actions: ArrayLike, env_ids: NDArray[np.uint32]) -> None:
+        """Starts a step of some environments."""
+    def recv(self) -> Reply:
+        """Waits for the reply to the oldest request; where interrupted, it can be repeated."""
+    def abandon(self) -> None:
+        """Gives up on the replies of all requests in flight."""
+    def close(self) -> None:
+        """Ends the session; once is enough, more does no harm."""
+
+@final
+class Reply:
+    """The reply to a reset or a step. Row r belongs to environment ``env_ids()[r]``.
+
+    With ``copy=False``, arrays are read-only, lie in shared memory and keep the reply there.
+    """
+
+    @property
+    def rows(self) -> int:
+        """Number of rows."""
+    @property
+    def has_goals(self) -> bool:
+        """Whether the task has goals; without them, arrays of goals have no columns."""
+    def env_ids(self) -> NDArray[np.int64]:
+        """The environment of each row."""
+    def observation(self, copy: bool = True) -> NDArray[np.float32]:
+        """State after the transition, or after the autoreset: (rows, observation dim)."""
+    def achieved_goal(self, copy: bool = True) -> NDArray[np.float32]:
+        """Achieved goal of that state: (rows, goal dim)."""
+    def desired_goal(self, copy: bool = True) -> NDArray[np.float32]:
+        """Desired goal of that state: (rows, goal dim)."""
+    def final_observation(self, copy: bool = True) -> NDArray[np.float32]:
+        """Last observation of an episode that a same-step autoreset replaced."""
+    def final_achieved_goal(self, copy: bool = True) -> NDArray[np.float32]:
+        """Its achieved goal."""
+    def final_desired_goal(self, copy: bool = True) -> NDArray[np.float32]:
+        """Its desired goal."""
+    def expert_action(self, copy: bool = True) -> NDArray[np.float32]:
+        """The expert's action for the returned state; zeros unless it was wanted."""
+    def reward(self) -> NDArray[np.float32]:
+        """Reward of the transition: (rows); 0 for a reset."""
+    def terminated(self) -> NDArray[np.bool_]:
+        """Whether the episode ended in a terminal state: (rows)."""
+    def truncated(self) -> NDArray[np.bool_]:
+        """Whether it ended at its time limit, or because its simulation failed: (rows)."""
+    def is_success(self) -> NDArray[np.bool_]:
+        """Whether the transition ended in success, before any autoreset: (rows)."""
+    def fault(self) -> NDArray[np.bool_]:
+        """Whether the simulation failed: (rows)."""
+    def steps(self) -> NDArray[np.uint32]:
+        """Steps since the episode began: (rows); 0 after a reset or autoreset."""
+    def seed(self) -> NDArray[np.uint64]:
+        """Seed of the episode: (rows)."""
+    def episode(self) -> NDArray[np.uint64]:
+        """Number of the episode under its seed: (rows)."""
+    def outcome(self) -> tuple[float, bool, bool, bool, bool]:
+        """Reward, terminated, truncated, success and fault of row 0, without arrays."""
+
+@final
+class TaskSpec:
+    """A task as its clients see it, under one choice of options."""
+
+    def __new__(cls, encoded: bytes) -> TaskSpec:
+        """The specification that pickling wrote."""
+    def __eq__(self, other: object, /) -> bool: ...
+    __hash__: None  # type: ignore[assignment]
+    @property
+    def id(self) -> str:
+        """Registered name with version, e.g. ``NeedleReach-v0``."""
+    @property
+    def summary(self) -> str:
+        """One sentence for people."""
+    @property
+    def max_steps(self) -> int:
+        """Steps after which an episode is truncated."""
+    @property
+    def seconds_per_step(self) -> float:
+        """Simulated time of one step, s."""
+    @property
+    def action(self) -> list[Element]:
+        """The action vector, element by element."""
+    @property
+    def observation(self) -> list[Element]:
+        """The state observation, element by element."""
+    @property
+    def goal(self) -> list[Element] | None:
+        """Achieved and desired goal; ``None`` for tasks without goals."""
+    @property
+    def reward(self) -> Literal["sparse", "dense", "state"]:
+        """Which reward is given; ``state`` is no function of goals."""
+    @property
+    def options(self) -> list[OptionSpec]:
+        """The options this task knows."""
+    def compute_reward(self, achieved: ArrayLike, desired: ArrayLike) -> NDArray[np.float32]:
+        """Rewards of goals of shape (..., goal dim), as the server gives them: float32 (...)."""
+    def compute_success(self, achieved: ArrayLike, desired: ArrayLike) -> NDArray[np.bool_]:
+        """Whether goals of shape (..., goal dim) are reached: bool (...)."""
+
+@final
+class Element:
+    """One element of a vector: what it means, where, in which unit and range."""
+
+    @property
+    def name(self) -> str:
+        """Meaning, e.g. ``tip position x``."""
+    @property
+    def frame(self) -> str:
+        """Coordinate frame, e.g. ``world``; empty where none applies."""
+    @property
+    def unit(self) -> str:
+        """SI unit, ``1`` where dimensionless."""
+    @property
+    def min(self) -> float:
+        """Smallest value."""
+    @property
+    def max(self) -> float:
+        """Largest value."""
+    def __eq__(self, other: object, /) -> bool: ...
+    __hash__: None  # type: ignore[assignment]
+
+@final
+class OptionSpec:
+    """One option of a task: its name, its default and what is allowed."""
+
+    @property
+    def name(self) -> str:
+        """Keyword, e.g. ``reward``."""
+    @property
+    def summary(self) -> str:
+        """One sentence for people."""
+    @property
+    def default(self) -> bool | float | str | list[float] | list[str] | dict[str, list[float]]:
+        """The value where none is given."""
+    @property
+    def allowed(self) -> str:
+        """What is accepted, in words."""

@@ -1,0 +1,131 @@
+"""One environment."""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar
+
+import gymnasium as gym
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from trocar import _trocar
+from trocar._connection import Connection
+from trocar._goal import (
+    GoalFunctions,
+    Observation,
+    action_space,
+    check_render_mode,
+    check_seed,
+    observation,
+    observation_space,
+)
+from trocar.errors import InvalidOption, ResetNeeded, refuse
+
+
+class TrocarEnv(GoalFunctions, gym.Env[Observation, NDArray[np.float32]]):
+    """One environment of a task, simulated by a server.
+
+    Observations are dictionaries of float32 arrays: ``observation``, ``achieved_goal`` and
+    ``desired_goal``; :attr:`task_spec` says what each element means. ``info["is_success"]`` says
+    after each step whether the goal is reached. Episodes never terminate there; they are truncated
+    by the server at the task's number of steps.
+
+    ``reset(seed=s)`` begins the first episode of seed ``s``, ``reset()`` the next one; which one it
+    was, ``info["episode_seed"]`` and ``info["episode_index"]`` tell. Without any seed, a random one
+    is drawn.
+
+    A copy, pickled or deep, has no session; its first ``reset`` opens one. So does a reset in a
+    forked child process, and a reset after the server was lost. Until then steps raise
+    :class:`~trocar.errors.ResetNeeded`, :class:`~trocar.errors.ForkedError` and
+    :class:`~trocar.errors.ServerLost`.
+    """
+
+    metadata: ClassVar[dict[str, Any]] = {"render_modes": []}  # type: ignore[misc]
+
+    def __init__(
+        self,
+        task: str,
+        *,
+        server: str | None = None,
+        render_mode: str | None = None,
+        expert: bool = False,
+        copy: bool = True,
+        **options: Any,
+    ) -> None:
+        """Opens a session of one environment.
+
+        Args:
+            task: Task id without namespace, e.g. ``NeedleReach-v0``.
+            server: Name of the server; ``None`` for ``$TROCAR_SERVER``, else a private one.
+            render_mode: ``None``.
+            expert: Whether ``info["expert_action"]`` shall hold the scripted expert's action.
+            copy: With ``False``, observations are read-only views of shared memory, valid until
+                the next step but one.
+            options: The task's options; ``task_spec.options`` lists them.
+
+        Raises:
+            ValueError: An option is unknown or not allowed; the message lists what is.
+        """
+        check_render_mode(render_mode)
+        self.render_mode = render_mode
+        self._copy = copy
+        self._expert_action: NDArray[np.float32] | None = None
+        self._connection = Connection(
+            task, server=server, envs=1, autoreset="Disabled", expert=expert, options=options
+        )
+        self.action_space = action_space(self.task_spec)
+        self.observation_space = observation_space(self.task_spec)
+
+    @property
+    def task_spec(self) -> _trocar.TaskSpec:  # type: ignore[override]
+        """What the task looks like under the options of this environment."""
+        return self._connection.spec
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Observation, dict[str, Any]]:
+        """Begins the first episode of ``seed``, or without one the next episode."""
+        if options:
+            raise refuse(InvalidOption, "options", options, "no reset options are known")
+        seeds = None
+        if seed is not None:
+            seed = check_seed(seed)
+            seeds = np.array([seed], np.uint64)
+        super().reset(seed=seed)
+        reply = self._connection.reset(None, seeds)
+        info = {"episode_seed": int(reply.seed()[0]), "episode_index": int(reply.episode()[0])}
+        return self._observation(reply, info), info
+
+    def step(self, action: ArrayLike) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+        """Acts, and returns observation, reward, terminated, truncated, info."""
+        reply = self._connection.step(action)
+        reward, terminated, truncated, success, failed = reply.outcome()
+        info: dict[str, Any] = {"is_success": success}
+        if failed:
+            info["simulation_failed"] = True
+        return self._observation(reply, info), reward, terminated, truncated, info
+
+    def expert_action(self) -> NDArray[np.float32]:
+        """What the scripted expert would do now; only with ``expert=True``."""
+        if not self._connection.expert:
+            raise refuse(InvalidOption, "expert", False, "make the environment with expert=True")
+        if self._expert_action is None:
+            raise ResetNeeded("the expert needs a state; reset the environment first")
+        return np.array(self._expert_action)
+
+    def render(self) -> None:
+        """Renders nothing, which is the only render mode."""
+
+    def close(self) -> None:
+        """Ends the session; twice does no harm."""
+        self._expert_action = None
+        self._connection.close()
+
+    def _observation(self, reply: _trocar.Reply, info: dict[str, Any]) -> Observation:
+        if self._connection.expert:
+            self._expert_action = reply.expert_action()[0]
+            info["expert_action"] = self._expert_action.copy()
+        return {name: rows[0] for name, rows in observation(reply, self._copy).items()}
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**self.__dict__, "_expert_action": None}

@@ -1,0 +1,353 @@
+"""Many environments of one task in one session, stepped by one message."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+from gymnasium.vector import AutoresetMode
+from gymnasium.vector.utils import batch_space
+from numpy.typing import ArrayLike, NDArray
+
+from trocar import _trocar
+from trocar._connection import Connection
+from trocar._goal import (
+    GoalFunctions,
+    Observation,
+    action_space,
+    check_render_mode,
+    check_seed,
+    final_observation,
+    observation,
+    observation_space,
+)
+from trocar.errors import InvalidEnvIds, InvalidOption, InvalidRequest, ResetNeeded, refuse
+
+Step = tuple[Observation, NDArray[np.float32], NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]
+"""Observations, rewards, terminations, truncations, infos; a row for each environment."""
+
+EPISODE = ("episode_seed", "episode_index")
+"""Infos that say which episode began; ``episode`` alone is what Gymnasium's recorders use."""
+
+
+class TrocarVectorEnv(
+    GoalFunctions, gym.vector.VectorEnv[Observation, NDArray[np.float32], NDArray[Any]]
+):
+    """N environments of a task in one session of a server, stepped by one message.
+
+    What is said of :class:`~trocar.TrocarEnv` holds for each of them. Infos are Gymnasium's: an
+    array per key, and under ``_key`` where it applies. ``is_success`` tells of every transition,
+    also where ``same_step`` autoreset began a new episode; ``episode_seed`` and ``episode_index``
+    tell of the episodes that began. ``same_step`` adds ``final_obs`` and ``final_info``.
+
+    Instead of :meth:`step`, up to two disjoint groups of environments may be under way by
+    :meth:`send` and :meth:`recv`: while one is simulated, the other's actions can be computed.
+    """
+
+    def __init__(
+        self,
+        task: str,
+        num_envs: int = 1,
+        *,
+        server: str | None = None,
+        autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
+        render_mode: str | None = None,
+        max_episode_steps: int | None = None,
+        expert: bool = False,
+        copy: bool = True,
+        **options: Any,
+    ) -> None:
+        """Opens a session of ``num_envs`` environments.
+
+        Args:
+            task: Task id without namespace, e.g. ``NeedleReach-v0``.
+            num_envs: How many environments.
+            server: Name of the server; ``None`` for ``$TROCAR_SERVER``, else a private one.
+            autoreset_mode: What happens to an environment whose episode ended: ``next_step``
+                (the next step resets it and ignores its action), ``same_step`` (the same step
+                resets it) or ``disabled`` (``reset`` with a ``reset_mask`` must).
+            render_mode: ``None``.
+            max_episode_steps: The task's own number or ``None``.
+            expert: Whether ``infos["expert_action"]`` shall hold the scripted expert's actions.
+            copy: With ``False``, observations are read-only views of shared memory, valid until
+                the next step but one.
+            options: The task's options; ``task_spec.options`` lists them.
+
+        Raises:
+            ValueError: An option is unknown or not allowed; the message lists what is.
+        """
+        self.closed = True  # until there is something to close
+        check_render_mode(render_mode)
+        self.autoreset_mode = _autoreset_mode(autoreset_mode)
+        self._connection = Connection(
+            task,
+            server=server,
+            envs=num_envs,
+            autoreset=self.autoreset_mode.value,
+            expert=expert,
+            options=options,
+        )
+        self.closed = False
+        spec = self.task_spec
+        if max_episode_steps not in (None, spec.max_steps):
+            self.close()
+            allowed = f"allowed is {spec.max_steps}; make single environments to shorten episodes"
+            raise refuse(InvalidOption, "max_episode_steps", max_episode_steps, allowed)
+        self._copy = copy
+        self._latest = _Latest()
+        self.num_envs = num_envs
+        self.render_mode = render_mode
+        self.metadata = {"render_modes": [], "autoreset_mode": self.autoreset_mode}
+        self.single_action_space = action_space(spec)
+        self.single_observation_space = observation_space(spec)
+        self.action_space = batch_space(self.single_action_space, num_envs)
+        self.observation_space = batch_space(self.single_observation_space, num_envs)
+
+    @property
+    def task_spec(self) -> _trocar.TaskSpec:  # type: ignore[override]
+        """What the task looks like under the options of these environments."""
+        return self._connection.spec
+
+    def reset(
+        self,
+        *,
+        seed: int | Sequence[int | None] | None = None,
+        options: dict[str, Any] | None = None,
+    ) -> tuple[Observation, dict[str, Any]]:
+        """Begins new episodes; replies still in flight are dropped.
+
+        Args:
+            seed: ``s`` for the first episodes of ``s, s + 1, …``; a seed for each environment,
+                where ``None`` goes on to its next episode; or ``None`` for all of these.
+            options: ``{"reset_mask": …}`` with a truth value for each environment resets only
+                those; the observations of the others are their latest.
+        """
+        chosen = self._chosen(options)
+        seeds = self._seeds(seed)
+        super().reset(seed=seed if isinstance(seed, int) else None)
+        self._connection.abandon()
+        seeded = np.array([number is not None for number in seeds])
+        numbers = np.array([number or 0 for number in seeds], np.uint64)
+        if chosen.all():
+            everywhere = seeded.all()
+            self._latest.whole(self._connection.reset(None, numbers if everywhere else None))
+            parts = [] if everywhere else [seeded]
+        else:
+            self._latest.check()
+            parts = [chosen & seeded, chosen & ~seeded]
+        for part in parts:
+            if part.any():
+                env_ids = np.flatnonzero(part).astype(np.uint32)
+                given = numbers[part] if seeded[part].all() else None
+                self._latest.part(self._connection.reset(env_ids, given))
+        latest = self._latest.arrays(self._copy)
+        expert_action = np.array(latest.pop("expert_action"))
+        infos = _masked(chosen, **{name: latest.pop(name) for name in EPISODE})
+        if self._connection.expert:
+            infos |= _masked(chosen, expert_action=expert_action)
+        return latest, infos
+
+    def step(self, actions: ArrayLike) -> Step:
+        """Acts in every environment; ``actions`` has shape (num_envs, action dim)."""
+        reply = self._connection.step(actions)
+        self._latest.whole(reply)
+        return self._transition(reply)
+
+    def send(self, actions: ArrayLike, env_ids: ArrayLike | None = None) -> None:
+        """Starts a step of some environments and does not wait for it.
+
+        Args:
+            actions: An action for each of them: shape (len(env_ids), action dim).
+            env_ids: Which, in increasing order; all if ``None``. They must not be under way.
+        """
+        self._connection.send(actions, self._env_ids(env_ids))
+
+    def recv(self) -> Step:
+        """Waits for the step that was started first, and returns a row for each environment of it.
+
+        ``infos["env_id"]`` says which they are. Interrupted by Ctrl-C, it can be called again.
+        """
+        reply = self._connection.recv()
+        self._latest.part(reply)
+        observations, rewards, terminations, truncations, infos = self._transition(reply)
+        infos["env_id"] = reply.env_ids()
+        return observations, rewards, terminations, truncations, infos
+
+    def expert_action(self) -> NDArray[np.float32]:
+        """What the scripted expert would do now: (num_envs, action dim); with ``expert=True``."""
+        if not self._connection.expert:
+            raise refuse(InvalidOption, "expert", False, "make the environments with expert=True")
+        self._latest.check()
+        return self._latest.arrays(copy=True)["expert_action"]
+
+    def render(self) -> None:
+        """Renders nothing, which is the only render mode."""
+
+    def call(self, name: str, *args: Any, **kwargs: Any) -> tuple[Any, ...]:
+        """What the attribute ``name``, or a call of it, gives for each environment.
+
+        The environments of a session differ in nothing but their state, so it is asked for once.
+        """
+        attribute = getattr(self, name)
+        result = attribute(*args, **kwargs) if callable(attribute) else attribute
+        return (result,) * self.num_envs
+
+    def get_attr(self, name: str) -> tuple[Any, ...]:
+        """The attribute ``name``, for each environment."""
+        return (getattr(self, name),) * self.num_envs
+
+    def set_attr(self, name: str, values: Any) -> None:
+        """Sets the attribute ``name`` of all environments, which share it, to one value."""
+        if isinstance(values, list | tuple):
+            if len(values) != self.num_envs or any(value != values[0] for value in values):
+                allowed = "expected one value, since the environments of a session share it"
+                raise refuse(InvalidOption, name, values, allowed)
+            values = values[0]
+        setattr(self, name, values)
+
+    def close_extras(self, **kwargs: Any) -> None:
+        """Ends the session; ``close`` calls this once."""
+        del kwargs
+        self._latest = _Latest()
+        self._connection.close()
+
+    def _transition(self, reply: _trocar.Reply) -> Step:
+        """A reply as Gymnasium's five values, a row for each environment in it."""
+        terminations, truncations = reply.terminated(), reply.truncated()
+        begun = reply.steps() == 0
+        everyone = np.ones(reply.rows, np.bool_)
+        acted = ~begun if self.autoreset_mode is AutoresetMode.NEXT_STEP else everyone
+        infos = _masked(acted, is_success=reply.is_success())
+        if begun.any():
+            infos |= _masked(begun, **_episodes(reply))
+            if self.autoreset_mode is AutoresetMode.SAME_STEP:
+                infos |= _final(reply, begun)
+        failed = reply.fault()
+        if failed.any():
+            infos |= _masked(failed, simulation_failed=failed)
+        if self._connection.expert:
+            infos |= _masked(everyone, expert_action=reply.expert_action())
+        return observation(reply, self._copy), reply.reward(), terminations, truncations, infos
+
+    def _chosen(self, options: dict[str, Any] | None) -> NDArray[np.bool_]:
+        """Which environments a reset is about."""
+        options = dict(options or {})
+        mask = options.pop("reset_mask", None)
+        if options:
+            raise refuse(InvalidOption, "options", options, "the only one known is 'reset_mask'")
+        if mask is None:
+            return np.ones(self.num_envs, np.bool_)
+        chosen = np.asarray(mask)
+        if chosen.dtype != np.bool_ or chosen.shape != (self.num_envs,) or not chosen.any():
+            allowed = f"expected a bool array of shape ({self.num_envs},) that is somewhere true"
+            raise refuse(InvalidOption, "options['reset_mask']", mask, allowed)
+        return chosen
+
+    def _seeds(self, seed: int | Sequence[int | None] | None) -> list[int | None]:
+        """A seed for each environment."""
+        if seed is None:
+            return [None] * self.num_envs
+        if isinstance(seed, Sequence | np.ndarray):
+            if len(seed) != self.num_envs:
+                allowed = f"expected a seed for each of {self.num_envs} environments"
+                raise refuse(InvalidRequest, "seed", seed, allowed)
+            return [None if number is None else check_seed(number) for number in seed]
+        check_seed(seed)
+        return [check_seed(seed + index) for index in range(self.num_envs)]
+
+    def _env_ids(self, env_ids: ArrayLike | None) -> NDArray[np.uint32]:
+        if env_ids is None:
+            return np.arange(self.num_envs, dtype=np.uint32)
+        array = np.asarray(env_ids)
+        in_range = array.dtype.kind in "iu" and ((array >= 0) & (array < self.num_envs)).all()
+        if array.ndim != 1 or array.size == 0 or not in_range:
+            allowed = f"allowed are one or more increasing numbers below {self.num_envs}"
+            raise refuse(InvalidEnvIds, "env_ids", env_ids, allowed)
+        return array.astype(np.uint32)
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**self.__dict__, "_latest": _Latest()}
+
+
+class _Latest:
+    """The latest state of every environment, put together only where it is asked for."""
+
+    def __init__(self) -> None:
+        self._reply: _trocar.Reply | None = None
+        self._arrays: dict[str, NDArray[Any]] | None = None
+
+    def whole(self, reply: _trocar.Reply) -> None:
+        """All environments have the state of this reply."""
+        self._reply, self._arrays = reply, None
+
+    def part(self, reply: _trocar.Reply) -> None:
+        """The environments of this reply have its state, the others that which they had."""
+        if self._arrays is None:
+            self._arrays = self.arrays(copy=True)
+            self._reply = None
+        env_ids = reply.env_ids()
+        for name, rows in _arrays(reply, copy=False).items():
+            self._arrays[name][env_ids] = rows
+
+    def arrays(self, copy: bool) -> dict[str, NDArray[Any]]:
+        """Arrays of shape (num_envs, ...) that the caller may keep, unless they are views."""
+        if self._arrays is not None:
+            return {name: array.copy() for name, array in self._arrays.items()}
+        if self._reply is not None:
+            return _arrays(self._reply, copy)
+        raise ResetNeeded("the environments have no state yet; reset all of them first")
+
+    def check(self) -> None:
+        """An error unless every environment has a state."""
+        if self._arrays is None and self._reply is None:
+            self.arrays(copy=False)
+
+
+def _arrays(reply: _trocar.Reply, copy: bool) -> dict[str, NDArray[Any]]:
+    return {
+        **observation(reply, copy),
+        **_episodes(reply),
+        "expert_action": reply.expert_action(copy),
+    }
+
+
+def _episodes(reply: _trocar.Reply) -> dict[str, NDArray[Any]]:
+    """Which episodes these are; seeds are below 2**63, and Gymnasium collects integers as int64."""
+    return dict(
+        zip(EPISODE, (reply.seed().astype(np.int64), reply.episode().astype(np.int64)), strict=True)
+    )
+
+
+def _masked(mask: NDArray[np.bool_], **values: NDArray[Any]) -> dict[str, Any]:
+    """Infos as Gymnasium has them: zero where they do not apply, and a mask under ``_key``."""
+    infos: dict[str, Any] = {}
+    for key, array in values.items():
+        array[~mask] = 0
+        infos |= {key: array, f"_{key}": mask.copy()}
+    return infos
+
+
+def _final(reply: _trocar.Reply, ended: NDArray[np.bool_]) -> dict[str, Any]:
+    """The last observations and infos of episodes that the same step replaced."""
+    last = final_observation(reply)
+    observations = np.full(reply.rows, None, dtype=object)
+    for row in np.flatnonzero(ended):
+        observations[row] = {name: rows[row].copy() for name, rows in last.items()}
+    return {
+        "final_obs": observations,
+        "_final_obs": ended.copy(),
+        "final_info": _masked(ended, is_success=reply.is_success()),
+        "_final_info": ended.copy(),
+    }
+
+
+def _autoreset_mode(mode: AutoresetMode | str) -> AutoresetMode:
+    if isinstance(mode, AutoresetMode):
+        return mode
+    for known in AutoresetMode:
+        if str(mode) in (known.name, known.name.lower(), known.value):
+            return known
+    allowed = f"allowed are {[known.name.lower() for known in AutoresetMode]}"
+    raise refuse(InvalidOption, "autoreset_mode", mode, allowed)

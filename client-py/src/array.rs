@@ -1,0 +1,110 @@
+//! Arrays in both directions: replies as NumPy arrays, what Python sends as plain numbers.
+
+use numpy::ndarray::ArrayView2;
+use numpy::{
+    Element, PyArray1, PyArray2, PyArrayDyn, PyArrayMethods, PyReadonlyArrayDyn,
+    PyUntypedArrayMethods,
+};
+use pyo3::prelude::*;
+use pyo3::types::IntoPyDict;
+use trocar_client::{Code, Rejection};
+
+use crate::error;
+use crate::session::Reply;
+
+/// Finds a region of a reply, so that what is viewed can lie nowhere else.
+pub(crate) type Part<T> = fn(&trocar_client::Reply) -> &[T];
+
+/// A (rows, width) array: a fresh one that Python owns, or with `copy` false a read-only one that
+/// lies in shared memory and keeps the reply there.
+pub(crate) fn matrix<'py, T: Element>(
+    reply: &Bound<'py, Reply>,
+    part: Part<T>,
+    width: usize,
+    copy: bool,
+) -> PyResult<Bound<'py, PyArray2<T>>> {
+    let inner = reply.get().inner();
+    let rows = ArrayView2::from_shape((inner.rows(), width), part(&inner))
+        .map_err(|error| error::new(reply.py(), "Malformed", error.to_string()))?;
+    if copy { Ok(PyArray2::from_array(reply.py(), &rows)) } else { view(&rows, reply) }
+}
+
+#[allow(unsafe_code)]
+fn view<'py, T: Element>(
+    rows: &ArrayView2<'_, T>,
+    owner: &Bound<'py, Reply>,
+) -> PyResult<Bound<'py, PyArray2<T>>> {
+    // SAFETY: `rows` lies in the shared memory of `owner`'s reply, which stays mapped at the same
+    // place until `owner` is dropped; the new array's base keeps `owner` alive.
+    let view = unsafe { PyArray2::borrow_from_array(rows, owner.clone().into_any()) };
+    view.try_readwrite()?.make_nonwriteable();
+    Ok(view)
+}
+
+/// A fresh array of one truth value per row.
+pub(crate) fn flags<'py>(py: Python<'py>, bytes: &[u8]) -> Bound<'py, PyArray1<bool>> {
+    PyArray1::from_iter(py, bytes.iter().map(|byte| *byte != 0))
+}
+
+/// Numbers that came from Python, row-major.
+pub(crate) struct Numbers {
+    pub(crate) shape: Vec<usize>,
+    pub(crate) values: Vec<f32>,
+}
+
+/// Reads anything that NumPy takes for an array of numbers; `field` and `code` name it in errors.
+pub(crate) fn numbers(value: &Bound<'_, PyAny>, field: &str, code: Code) -> PyResult<Numbers> {
+    let py = value.py();
+    if let Ok(array) = value.cast::<PyArrayDyn<f32>>() {
+        return Ok(collect(&array.try_readonly()?, |number| number));
+    }
+    let as_array = || -> PyResult<PyReadonlyArrayDyn<'_, f64>> {
+        let keywords = [("dtype", "float64")].into_py_dict(py)?;
+        let array = py.import("numpy")?.call_method("asarray", (value,), Some(&keywords))?;
+        Ok(array.cast::<PyArrayDyn<f64>>()?.try_readonly()?)
+    };
+    as_array().map(|array| collect(&array, |number| number as f32)).map_err(|error| {
+        let found = value.repr().map_or_else(|_| "?".to_string(), |text| text.to_string());
+        let refusal = error::rejection(
+            py,
+            &Rejection::new(code, field, found, "expected an array of numbers"),
+        );
+        refusal.set_cause(py, Some(error));
+        refusal
+    })
+}
+
+fn collect<T: Element + Copy>(
+    array: &PyReadonlyArrayDyn<'_, T>,
+    convert: impl Fn(T) -> f32,
+) -> Numbers {
+    let values = array.as_array().iter().map(|number| convert(*number)).collect();
+    Numbers { shape: array.shape().to_vec(), values }
+}
+
+/// A shape as Python writes it.
+pub(crate) fn shape_text(shape: &[usize]) -> String {
+    match shape {
+        [one] => format!("({one},)"),
+        several => {
+            let parts: Vec<_> = several.iter().map(ToString::to_string).collect();
+            format!("({})", parts.join(", "))
+        }
+    }
+}
+
+/// An error unless `found` is `expected`.
+pub(crate) fn check_shape(
+    py: Python<'_>,
+    found: &[usize],
+    expected: &[usize],
+    field: &str,
+    code: Code,
+) -> PyResult<()> {
+    if found == expected {
+        return Ok(());
+    }
+    let found = format!("array of shape {}", shape_text(found));
+    let expected = format!("expected shape {}", shape_text(expected));
+    Err(error::rejection(py, &Rejection::new(code, field, found, expected)))
+}

@@ -1,0 +1,148 @@
+//! The connection to a server.
+
+use std::path::PathBuf;
+
+use pyo3::prelude::*;
+use pyo3::types::PyDict;
+use trocar_client::private::PrivateServer;
+use trocar_client::proto::control::ServerInfo;
+use trocar_client::{Autoreset, CallError, Code, Rejection, SessionRequest};
+
+use crate::session::Session;
+use crate::spec::TaskSpec;
+use crate::{error, spec, wait};
+
+/// A connection to one server; it ends with the last of this object and its sessions.
+#[pyclass(frozen, weakref, module = "trocar._trocar")]
+pub(crate) struct Client {
+    client: trocar_client::Client,
+}
+
+#[pymethods]
+impl Client {
+    /// Connects to the running server of that name.
+    #[staticmethod]
+    fn connect(py: Python<'_>, name: String) -> PyResult<Self> {
+        let connected =
+            wait::interruptibly(py, move || trocar_client::Client::connect_as(&name, "python"))?;
+        Ok(Self { client: connected.map_err(|error| error::connect(py, error))? })
+    }
+
+    /// Connects to the private server of `identity`, which `binary` is started for if need be.
+    #[staticmethod]
+    fn launch(py: Python<'_>, identity: String, binary: PathBuf) -> PyResult<Self> {
+        let connected = wait::interruptibly(py, move || {
+            trocar_client::Client::launch(&PrivateServer::new(&identity, &binary)?, "python")
+        })?;
+        Ok(Self { client: connected.map_err(|error| error::connect(py, error))? })
+    }
+
+    #[getter]
+    fn name(&self) -> &str {
+        &self.server().name
+    }
+
+    #[getter]
+    fn pid(&self) -> u32 {
+        self.server().pid
+    }
+
+    #[getter]
+    fn epoch(&self) -> u64 {
+        self.server().epoch
+    }
+
+    #[getter]
+    fn version(&self) -> &str {
+        &self.server().version
+    }
+
+    #[getter]
+    fn max_envs(&self) -> u32 {
+        self.server().max_envs
+    }
+
+    /// The ids of the tasks that the server offers.
+    fn tasks(&self, py: Python<'_>) -> PyResult<Vec<String>> {
+        self.call(py, trocar_client::Client::tasks)
+    }
+
+    /// What a task looks like under some options.
+    #[pyo3(signature = (task, options=None))]
+    fn describe(
+        &self,
+        py: Python<'_>,
+        task: String,
+        options: Option<&Bound<'_, PyDict>>,
+    ) -> PyResult<TaskSpec> {
+        let options = spec::options(py, options)?;
+        let spec = self.call(py, move |client| client.describe(&task, &options))?;
+        Ok(TaskSpec::new(spec))
+    }
+
+    /// Opens a session: one task, N environments, one seed, its options.
+    #[pyo3(signature = (task, *, envs, seed, autoreset, options=None))]
+    fn open(
+        &self,
+        py: Python<'_>,
+        task: String,
+        envs: i64,
+        seed: u64,
+        autoreset: &str,
+        options: Option<&Bound<'_, PyDict>>,
+    ) -> PyResult<Session> {
+        let refused = |code, field: &str, value: &dyn std::fmt::Display, allowed: &str| {
+            error::rejection(py, &Rejection::new(code, field, value, allowed))
+        };
+        let envs = u32::try_from(envs).map_err(|_| {
+            let allowed = format!("allowed are 1 to {}", self.server().max_envs);
+            refused(Code::InvalidEnvCount, "envs", &envs, &allowed)
+        })?;
+        let autoreset = match autoreset {
+            "NextStep" => Autoreset::NextStep,
+            "SameStep" => Autoreset::SameStep,
+            "Disabled" => Autoreset::Disabled,
+            other => {
+                let allowed = "allowed are \"NextStep\", \"SameStep\", \"Disabled\"";
+                return Err(refused(Code::InvalidOption, "autoreset", &other, allowed));
+            }
+        };
+        let options = spec::options(py, options)?;
+        let request = SessionRequest { task, envs, seed, autoreset, options };
+        let session = self.call(py, move |client| client.open(&request))?;
+        Session::new(py, session)
+    }
+
+    /// Who is connected, and how fast it runs.
+    fn status<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
+        let status = self.call(py, trocar_client::Client::status)?;
+        let json = serde_json::to_string(&status)
+            .map_err(|error| error::new(py, "Internal", error.to_string()))?;
+        py.import("json")?.call_method1("loads", (json,))
+    }
+
+    /// Ends the server, for all of its clients.
+    fn shut_down(&self, py: Python<'_>) -> PyResult<()> {
+        self.call(py, trocar_client::Client::shut_down)
+    }
+
+    fn __repr__(&self) -> String {
+        let ServerInfo { name, pid, .. } = self.server();
+        format!("<trocar client of server {name:?}, process {pid}>")
+    }
+}
+
+impl Client {
+    fn server(&self) -> &ServerInfo {
+        self.client.server()
+    }
+
+    fn call<T: Send + 'static>(
+        &self,
+        py: Python<'_>,
+        request: impl FnOnce(&trocar_client::Client) -> Result<T, CallError> + Send + 'static,
+    ) -> PyResult<T> {
+        let client = self.client.clone();
+        wait::interruptibly(py, move || request(&client))?.map_err(|error| error::call(py, error))
+    }
+}

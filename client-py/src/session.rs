@@ -1,0 +1,344 @@
+//! A session and its replies.
+
+use std::sync::{Mutex, MutexGuard, PoisonError, TryLockError};
+
+use numpy::{Element, PyArray1, PyArray2, PyArrayMethods};
+use pyo3::prelude::*;
+use trocar_client::Code;
+
+use crate::array::{check_shape, flags, matrix, numbers};
+use crate::spec::TaskSpec;
+use crate::{error, wait};
+
+/// N environments of one task, which live in the server until this is closed.
+#[pyclass(frozen, weakref, module = "trocar._trocar")]
+pub(crate) struct Session {
+    /// `None` once closed. Never waited for: a second thread gets an error.
+    open: Mutex<Option<trocar_client::Session>>,
+    spec: Py<TaskSpec>,
+    id: u64,
+    epoch: u64,
+    envs: usize,
+}
+
+#[pymethods]
+impl Session {
+    #[getter]
+    fn id(&self) -> u64 {
+        self.id
+    }
+
+    #[getter]
+    fn epoch(&self) -> u64 {
+        self.epoch
+    }
+
+    #[getter]
+    fn envs(&self) -> usize {
+        self.envs
+    }
+
+    #[getter]
+    fn spec(&self, py: Python<'_>) -> Py<TaskSpec> {
+        self.spec.clone_ref(py)
+    }
+
+    /// Whether replies shall carry the scripted expert's action.
+    fn want_expert(&self, py: Python<'_>, wanted: bool) -> PyResult<()> {
+        self.with(py, |session| {
+            session.want_expert(wanted);
+            Ok(())
+        })
+    }
+
+    /// Number of requests whose replies can be received.
+    fn in_flight(&self, py: Python<'_>) -> PyResult<usize> {
+        self.with(py, |session| Ok(session.in_flight()))
+    }
+
+    /// Resets environments and waits; with another request in flight it is refused.
+    #[pyo3(signature = (env_ids=None, seeds=None))]
+    fn reset(
+        &self,
+        py: Python<'_>,
+        env_ids: Option<&Bound<'_, PyArray1<u32>>>,
+        seeds: Option<&Bound<'_, PyArray1<u64>>>,
+    ) -> PyResult<Reply> {
+        let env_ids = env_ids.map(listed).transpose()?;
+        let seeds = seeds.map(listed).transpose()?;
+        self.exchange(py, |session| {
+            session
+                .start_reset(env_ids.as_deref(), seeds.as_deref())
+                .map_err(|error| error::call(py, error))
+        })
+    }
+
+    /// Steps all environments and waits; with another request in flight it is refused.
+    fn step(&self, py: Python<'_>, actions: &Bound<'_, PyAny>) -> PyResult<Reply> {
+        self.exchange(py, |session| start_step(py, session, None, actions))
+    }
+
+    /// Starts a step of some environments.
+    fn send(
+        &self,
+        py: Python<'_>,
+        actions: &Bound<'_, PyAny>,
+        env_ids: &Bound<'_, PyArray1<u32>>,
+    ) -> PyResult<()> {
+        let env_ids = listed(env_ids)?;
+        self.with(py, |session| {
+            wait::settled(py, session)?;
+            start_step(py, session, Some(&env_ids), actions)
+        })
+    }
+
+    /// Waits for the reply to the oldest request; where that is interrupted, it can be repeated.
+    fn recv(&self, py: Python<'_>) -> PyResult<Reply> {
+        self.with(py, |session| {
+            wait::settled(py, session)?;
+            let reply = wait::reply(py, session)?;
+            Ok(Reply::new(reply))
+        })
+    }
+
+    /// Gives up on the replies of all requests in flight.
+    fn abandon(&self, py: Python<'_>) -> PyResult<()> {
+        self.with(py, |session| {
+            session.abandon();
+            Ok(())
+        })
+    }
+
+    /// Ends the session; once is enough, more does no harm.
+    fn close(&self, py: Python<'_>) -> PyResult<()> {
+        let session = self.lock(py)?.take();
+        if let Some(session) = session {
+            py.detach(|| wait::farewell(session));
+        }
+        Ok(())
+    }
+
+    #[getter]
+    fn closed(&self, py: Python<'_>) -> PyResult<bool> {
+        Ok(self.lock(py)?.is_none())
+    }
+
+    fn __repr__(&self) -> String {
+        format!("<trocar session {}, {} environments>", self.id, self.envs)
+    }
+}
+
+impl Session {
+    pub(crate) fn new(py: Python<'_>, session: trocar_client::Session) -> PyResult<Self> {
+        let info = session.info();
+        let (id, epoch, envs) = (info.session, info.epoch, session.envs());
+        let spec = Py::new(py, TaskSpec::new(info.spec.clone()))?;
+        Ok(Self { open: Mutex::new(Some(session)), spec, id, epoch, envs })
+    }
+
+    fn lock(&self, py: Python<'_>) -> PyResult<MutexGuard<'_, Option<trocar_client::Session>>> {
+        match self.open.try_lock() {
+            Ok(guard) => Ok(guard),
+            // Whatever panicked left a session whose next call reports what is wrong with it.
+            Err(TryLockError::Poisoned(poisoned)) => Ok(poisoned.into_inner()),
+            Err(TryLockError::WouldBlock) => {
+                Err(error::new(py, "Busy", "another thread waits for this session"))
+            }
+        }
+    }
+
+    fn with<T>(
+        &self,
+        py: Python<'_>,
+        act: impl FnOnce(&mut trocar_client::Session) -> PyResult<T>,
+    ) -> PyResult<T> {
+        match self.lock(py)?.as_mut() {
+            Some(session) => act(session),
+            None => Err(error::new(py, "Closed", "the session was closed")),
+        }
+    }
+
+    /// Starts a request and waits for its reply, on which it gives up where that fails.
+    fn exchange(
+        &self,
+        py: Python<'_>,
+        start: impl FnOnce(&mut trocar_client::Session) -> PyResult<()>,
+    ) -> PyResult<Reply> {
+        self.with(py, |session| {
+            wait::settled(py, session)?;
+            if session.in_flight() > 0 {
+                let message = "requests are in flight; receive their replies first";
+                return Err(error::new(py, "TooManyInFlight", message));
+            }
+            start(session)?;
+            match wait::reply(py, session) {
+                Ok(reply) => Ok(Reply::new(reply)),
+                Err(error) => {
+                    session.abandon();
+                    Err(error)
+                }
+            }
+        })
+    }
+}
+
+impl Drop for Session {
+    fn drop(&mut self) {
+        let session = self.open.get_mut().map_or_else(|e| e.into_inner().take(), Option::take);
+        if let Some(session) = session {
+            // While the interpreter shuts down there is nobody to let run meanwhile.
+            let mut session = Some(session);
+            Python::try_attach(|py| {
+                let session = session.take();
+                py.detach(|| session.map(wait::farewell));
+            });
+        }
+    }
+}
+
+fn listed<T: Element + Copy>(array: &Bound<'_, PyArray1<T>>) -> PyResult<Vec<T>> {
+    Ok(array.try_readonly()?.as_array().to_vec())
+}
+
+/// `actions` is (rows, action dim).
+fn start_step(
+    py: Python<'_>,
+    session: &mut trocar_client::Session,
+    env_ids: Option<&[u32]>,
+    actions: &Bound<'_, PyAny>,
+) -> PyResult<()> {
+    let actions = numbers(actions, "action", Code::InvalidAction)?;
+    let rows = env_ids.map_or(session.envs(), <[u32]>::len);
+    // A single environment may leave out the axis of environments.
+    let expected = [rows, session.spec().action_dim()];
+    let expected = if rows == 1 && actions.shape.len() != 2 { &expected[1..] } else { &expected };
+    check_shape(py, &actions.shape, expected, "action", Code::InvalidAction)?;
+    session.start_step(env_ids, &actions.values).map_err(|error| error::call(py, error))
+}
+
+/// The reply to a reset or a step. Row r belongs to environment `env_ids()[r]`; the arrays that
+/// `copy=False` gives lie in shared memory and keep the reply there.
+#[pyclass(frozen, module = "trocar._trocar")]
+pub(crate) struct Reply {
+    /// Not for waiting, since nobody holds on to it, but to be shared between threads.
+    reply: Mutex<trocar_client::Reply>,
+}
+
+impl Reply {
+    fn new(reply: trocar_client::Reply) -> Self {
+        Self { reply: Mutex::new(reply) }
+    }
+
+    pub(crate) fn inner(&self) -> MutexGuard<'_, trocar_client::Reply> {
+        // It is only read, so a panic cannot have left it half changed.
+        self.reply.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+type Matrix<'py> = PyResult<Bound<'py, PyArray2<f32>>>;
+
+#[pymethods]
+impl Reply {
+    #[getter]
+    fn rows(&self) -> usize {
+        self.inner().rows()
+    }
+
+    /// Whether the task has goals; without them, arrays of goals have no columns.
+    #[getter]
+    fn has_goals(&self) -> bool {
+        self.inner().spec().goal.is_some()
+    }
+
+    fn env_ids<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<i64>> {
+        let reply = self.inner();
+        PyArray1::from_iter(py, (0..reply.rows()).map(|row| i64::from(reply.env_id(row))))
+    }
+
+    #[pyo3(signature = (copy=true))]
+    fn observation<'py>(slf: &Bound<'py, Self>, copy: bool) -> Matrix<'py> {
+        let width = slf.get().inner().spec().observation_dim();
+        matrix(slf, trocar_client::Reply::observation, width, copy)
+    }
+
+    #[pyo3(signature = (copy=true))]
+    fn achieved_goal<'py>(slf: &Bound<'py, Self>, copy: bool) -> Matrix<'py> {
+        let width = slf.get().inner().spec().goal_dim();
+        matrix(slf, trocar_client::Reply::achieved_goal, width, copy)
+    }
+
+    #[pyo3(signature = (copy=true))]
+    fn desired_goal<'py>(slf: &Bound<'py, Self>, copy: bool) -> Matrix<'py> {
+        let width = slf.get().inner().spec().goal_dim();
+        matrix(slf, trocar_client::Reply::desired_goal, width, copy)
+    }
+
+    #[pyo3(signature = (copy=true))]
+    fn final_observation<'py>(slf: &Bound<'py, Self>, copy: bool) -> Matrix<'py> {
+        let width = slf.get().inner().spec().observation_dim();
+        matrix(slf, trocar_client::Reply::final_observation, width, copy)
+    }
+
+    #[pyo3(signature = (copy=true))]
+    fn final_achieved_goal<'py>(slf: &Bound<'py, Self>, copy: bool) -> Matrix<'py> {
+        let width = slf.get().inner().spec().goal_dim();
+        matrix(slf, trocar_client::Reply::final_achieved_goal, width, copy)
+    }
+
+    #[pyo3(signature = (copy=true))]
+    fn final_desired_goal<'py>(slf: &Bound<'py, Self>, copy: bool) -> Matrix<'py> {
+        let width = slf.get().inner().spec().goal_dim();
+        matrix(slf, trocar_client::Reply::final_desired_goal, width, copy)
+    }
+
+    #[pyo3(signature = (copy=true))]
+    fn expert_action<'py>(slf: &Bound<'py, Self>, copy: bool) -> Matrix<'py> {
+        let width = slf.get().inner().spec().action_dim();
+        matrix(slf, trocar_client::Reply::expert_action, width, copy)
+    }
+
+    fn reward<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<f32>> {
+        PyArray1::from_slice(py, self.inner().reward())
+    }
+
+    fn terminated<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<bool>> {
+        flags(py, self.inner().terminated())
+    }
+
+    fn truncated<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<bool>> {
+        flags(py, self.inner().truncated())
+    }
+
+    fn is_success<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<bool>> {
+        flags(py, self.inner().is_success())
+    }
+
+    fn fault<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<bool>> {
+        flags(py, self.inner().fault())
+    }
+
+    fn steps<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<u32>> {
+        PyArray1::from_slice(py, self.inner().steps())
+    }
+
+    fn seed<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<u64>> {
+        PyArray1::from_slice(py, self.inner().seed())
+    }
+
+    fn episode<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<u64>> {
+        PyArray1::from_slice(py, self.inner().episode())
+    }
+
+    /// Reward, terminated, truncated, success and fault of row 0, without arrays.
+    fn outcome(&self) -> (f32, bool, bool, bool, bool) {
+        let reply = self.inner();
+        let first = |bytes: &[u8]| bytes.first().is_some_and(|byte| *byte != 0);
+        (
+            reply.reward().first().copied().unwrap_or_default(),
+            first(reply.terminated()),
+            first(reply.truncated()),
+            first(reply.is_success()),
+            first(reply.fault()),
+        )
+    }
+}

@@ -1,0 +1,262 @@
+//! What a task looks like, its options and its goal functions.
+
+use std::collections::BTreeMap;
+
+use numpy::ndarray::ArrayD;
+use numpy::{Element as Number, PyArrayDyn};
+use pyo3::prelude::*;
+use pyo3::types::{PyBool, PyBytes, PyDict, PyString};
+use trocar_client::proto::control::{MAX_MESSAGE, decode, encode};
+use trocar_client::proto::goal::{Reward, SuccessRule};
+use trocar_client::proto::spec;
+use trocar_client::{Code, OptionValue, Options, Rejection};
+
+use crate::array::{check_shape, numbers, shape_text};
+use crate::error;
+
+/// A task as its clients see it, under one choice of options.
+#[pyclass(frozen, module = "trocar._trocar")]
+#[derive(Clone)]
+pub(crate) struct TaskSpec {
+    spec: trocar_client::TaskSpec,
+}
+
+impl TaskSpec {
+    pub(crate) fn new(spec: trocar_client::TaskSpec) -> Self {
+        Self { spec }
+    }
+}
+
+#[pymethods]
+impl TaskSpec {
+    /// The specification that `__reduce__` wrote.
+    #[new]
+    fn from_bytes(py: Python<'_>, encoded: &[u8]) -> PyResult<Self> {
+        decode(encoded).map(Self::new).map_err(|refusal| error::rejection(py, &refusal))
+    }
+
+    fn __reduce__<'py>(slf: &Bound<'py, Self>) -> PyResult<Bound<'py, PyAny>> {
+        let py = slf.py();
+        let mut buffer = vec![0; MAX_MESSAGE];
+        let length = encode(&slf.get().spec, &mut buffer)
+            .map_err(|refusal| error::rejection(py, &refusal))?;
+        let arguments = (PyBytes::new(py, &buffer[..length]),);
+        Ok((slf.get_type(), arguments).into_pyobject(py)?.into_any())
+    }
+
+    fn __eq__(&self, other: &Bound<'_, PyAny>) -> bool {
+        other.cast::<Self>().is_ok_and(|other| other.get().spec == self.spec)
+    }
+
+    #[getter]
+    fn id(&self) -> &str {
+        &self.spec.id
+    }
+
+    #[getter]
+    fn summary(&self) -> &str {
+        &self.spec.summary
+    }
+
+    #[getter]
+    fn max_steps(&self) -> u32 {
+        self.spec.max_steps
+    }
+
+    #[getter]
+    fn seconds_per_step(&self) -> f64 {
+        self.spec.seconds_per_step
+    }
+
+    #[getter]
+    fn action(&self) -> Vec<Element> {
+        elements(&self.spec.action)
+    }
+
+    #[getter]
+    fn observation(&self) -> Vec<Element> {
+        elements(&self.spec.observation)
+    }
+
+    /// `None` for tasks without goals.
+    #[getter]
+    fn goal(&self) -> Option<Vec<Element>> {
+        self.spec.goal.as_ref().map(|goal| elements(&goal.elements))
+    }
+
+    /// `sparse`, `dense`, or `state` where it is no function of goals.
+    #[getter]
+    fn reward(&self) -> &'static str {
+        match self.spec.reward {
+            Reward::Sparse => "sparse",
+            Reward::Dense => "dense",
+            Reward::State => "state",
+        }
+    }
+
+    #[getter]
+    fn options(&self, py: Python<'_>) -> PyResult<Vec<OptionSpec>> {
+        let option = |option: &spec::OptionSpec| {
+            Ok(OptionSpec {
+                name: option.name.clone(),
+                summary: option.summary.clone(),
+                default: to_python(py, &option.default)?,
+                allowed: option.allowed.to_string(),
+            })
+        };
+        self.spec.options.iter().map(option).collect()
+    }
+
+    /// Rewards of goals of shape (..., goal dim), as the server gives them: float32 (...).
+    fn compute_reward<'py>(
+        &self,
+        achieved: &Bound<'py, PyAny>,
+        desired: &Bound<'py, PyAny>,
+    ) -> PyResult<Bound<'py, PyArrayDyn<f32>>> {
+        let reward = self.spec.reward;
+        if reward == Reward::State {
+            return Err(self.without_goals(achieved.py()));
+        }
+        self.of_goals(achieved, desired, |rule, a, d| reward.of(rule, a, d))
+    }
+
+    /// Whether goals of shape (..., goal dim) are reached: bool (...).
+    fn compute_success<'py>(
+        &self,
+        achieved: &Bound<'py, PyAny>,
+        desired: &Bound<'py, PyAny>,
+    ) -> PyResult<Bound<'py, PyArrayDyn<bool>>> {
+        self.of_goals(achieved, desired, SuccessRule::holds)
+    }
+
+    fn __repr__(&self) -> String {
+        format!("<trocar task {}>", self.spec.id)
+    }
+}
+
+impl TaskSpec {
+    fn of_goals<'py, T: Number>(
+        &self,
+        achieved: &Bound<'py, PyAny>,
+        desired: &Bound<'py, PyAny>,
+        of_pair: impl Fn(&SuccessRule, &[f32], &[f32]) -> T,
+    ) -> PyResult<Bound<'py, PyArrayDyn<T>>> {
+        let py = achieved.py();
+        let Some(goal) = &self.spec.goal else { return Err(self.without_goals(py)) };
+        let dim = goal.elements.len();
+        let achieved = numbers(achieved, "achieved_goal", Code::InvalidOption)?;
+        let desired = numbers(desired, "desired_goal", Code::InvalidOption)?;
+        let Some((last, leading)) = achieved.shape.split_last().filter(|(last, _)| **last == dim)
+        else {
+            let found = format!("array of shape {}", shape_text(&achieved.shape));
+            let allowed = format!("expected shape (..., {dim})");
+            let refusal = Rejection::new(Code::InvalidOption, "achieved_goal", found, allowed);
+            return Err(error::rejection(py, &refusal));
+        };
+        check_shape(py, &desired.shape, &achieved.shape, "desired_goal", Code::InvalidOption)?;
+        let pairs = achieved.values.chunks_exact(*last).zip(desired.values.chunks_exact(*last));
+        let results = pairs.map(|(a, d)| of_pair(&goal.success, a, d)).collect();
+        let results = ArrayD::from_shape_vec(leading, results)
+            .map_err(|error| error::new(py, "Internal", error.to_string()))?;
+        Ok(PyArrayDyn::from_owned_array(py, results))
+    }
+
+    fn without_goals(&self, py: Python<'_>) -> PyErr {
+        let allowed = "only the server knows its reward, which is no function of goals";
+        error::rejection(py, &Rejection::new(Code::Unsupported, "task", &self.spec.id, allowed))
+    }
+}
+
+/// One element of a vector: what it means, where, in which unit and range.
+#[pyclass(frozen, get_all, eq, module = "trocar._trocar")]
+#[derive(Clone, PartialEq)]
+pub(crate) struct Element {
+    name: String,
+    frame: String,
+    unit: String,
+    min: f32,
+    max: f32,
+}
+
+#[pymethods]
+impl Element {
+    fn __repr__(&self) -> String {
+        let Self { name, frame, unit, min, max } = self;
+        format!("<{name} in [{min}, {max}] {unit}, frame {frame:?}>")
+    }
+}
+
+fn elements(elements: &[spec::Element]) -> Vec<Element> {
+    let copy = |element: &spec::Element| {
+        let spec::Element { name, frame, unit, min, max } = element.clone();
+        Element { name, frame, unit, min, max }
+    };
+    elements.iter().map(copy).collect()
+}
+
+/// One option of a task: its name, its default and what is allowed.
+#[pyclass(frozen, get_all, module = "trocar._trocar")]
+pub(crate) struct OptionSpec {
+    name: String,
+    summary: String,
+    default: Py<PyAny>,
+    allowed: String,
+}
+
+#[pymethods]
+impl OptionSpec {
+    fn __repr__(&self) -> String {
+        format!("<option {}: {}>", self.name, self.allowed)
+    }
+}
+
+fn to_python(py: Python<'_>, value: &OptionValue) -> PyResult<Py<PyAny>> {
+    Ok(match value {
+        OptionValue::Flag(flag) => PyBool::new(py, *flag).to_owned().into_any().unbind(),
+        OptionValue::Number(number) => number.into_pyobject(py)?.into_any().unbind(),
+        OptionValue::Text(text) => text.into_pyobject(py)?.into_any().unbind(),
+        OptionValue::Numbers(numbers) => numbers.into_pyobject(py)?.into_any().unbind(),
+        OptionValue::Texts(texts) => texts.into_pyobject(py)?.into_any().unbind(),
+        OptionValue::Table(table) => table.into_pyobject(py)?.into_any().unbind(),
+    })
+}
+
+/// Options from a dictionary, by the type of their values; the server checks the rest.
+pub(crate) fn options(py: Python<'_>, given: Option<&Bound<'_, PyDict>>) -> PyResult<Options> {
+    let mut options = Options::new();
+    for (name, value) in given.into_iter().flatten() {
+        let name: String = name.extract()?;
+        let Some(value) = option_value(&value) else {
+            let found = value.repr()?.to_string();
+            let allowed = "a bool, a number, a string, a sequence of numbers or of strings, or a \
+                           dict of numbers or sequences of numbers by name";
+            let field = format!("options.{name}");
+            let refusal = Rejection::new(Code::InvalidOption, field, found, allowed);
+            return Err(error::rejection(py, &refusal));
+        };
+        options = options.with(&name, value);
+    }
+    Ok(options)
+}
+
+fn option_value(value: &Bound<'_, PyAny>) -> Option<OptionValue> {
+    if let Ok(flag) = value.extract::<bool>() {
+        return Some(OptionValue::Flag(flag));
+    }
+    if value.is_instance_of::<PyString>() {
+        return value.extract().ok().map(OptionValue::Text);
+    }
+    if let Ok(table) = value.cast::<PyDict>() {
+        let row = |(name, row): (Bound<'_, PyAny>, Bound<'_, PyAny>)| {
+            let numbers = row.extract().or_else(|_| row.extract().map(|number| vec![number]));
+            Some((name.extract().ok()?, numbers.ok()?))
+        };
+        let table: Option<BTreeMap<String, Vec<f64>>> = table.iter().map(row).collect();
+        return table.map(OptionValue::Table);
+    }
+    if value.len().is_ok() {
+        let numbers = value.extract().map(OptionValue::Numbers);
+        return numbers.or_else(|_| value.extract().map(OptionValue::Texts)).ok();
+    }
+    value.extract().map(OptionValue::Number).ok()
+}

@@ -1,0 +1,126 @@
+"""One server for all tests of a session, and scripts that run in processes of their own."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import textwrap
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+import trocar
+from trocar.registration import TASKS
+
+WATCHDOG = 60.0
+"""Seconds after which a test that waits has failed; nothing here takes that long."""
+
+Script = Callable[..., subprocess.Popen[str]]
+
+
+@pytest.fixture(scope="session")
+def server() -> Iterator[str]:
+    """The name of a server that all tests share."""
+    with trocar.Server(name=f"pytest-{os.getpid()}", threads=2) as running:
+        yield running.name
+    assert left_behind(running.name) == []
+
+
+@pytest.fixture
+def own_server() -> Iterator[trocar.Server]:
+    """A server that a test may stop, pause and kill."""
+    with trocar.Server(threads=1) as running:
+        yield running
+
+
+@pytest.fixture(params=TASKS)
+def task(request: pytest.FixtureRequest) -> str:
+    """Every task."""
+    return str(request.param)
+
+
+@pytest.fixture
+def script(tmp_path: Path) -> Iterator[Script]:
+    """Starts Python code as a process tree of its own, which is killed when the test ends."""
+    started: list[subprocess.Popen[str]] = []
+
+    def start(code: str, **variables: str) -> subprocess.Popen[str]:
+        path = tmp_path / f"script{len(started)}.py"
+        path.write_text(textwrap.dedent(code))
+        inherited = {
+            name: value
+            for name, value in os.environ.items()
+            if name not in ("TROCAR_SERVER", "TROCAR_PRIVATE_SERVER")
+        }
+        process = subprocess.Popen(
+            [sys.executable, "-W", "error", str(path)],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
+            bufsize=1,
+            env={**inherited, **variables},
+            start_new_session=True,
+        )
+        started.append(process)
+        return process
+
+    yield start
+    for process in started:
+        if process.poll() is None:
+            process.kill()
+        process.communicate()
+
+
+def say(process: subprocess.Popen[str], line: str = "") -> None:
+    """Sends a line to a script, which waits for it with ``input()``."""
+    assert process.stdin is not None
+    process.stdin.write(line + "\n")
+    process.stdin.flush()
+
+
+def hear(process: subprocess.Popen[str]) -> str:
+    """The next line that a script prints, under the watchdog."""
+    assert process.stdout is not None
+    os.set_blocking(process.stdout.fileno(), False)
+    heard = ""
+    deadline = time.monotonic() + WATCHDOG
+    while not heard.endswith("\n"):
+        part = process.stdout.readline()
+        heard += part
+        if not part:
+            assert process.poll() is None or heard, f"the script ended with {process.returncode}"
+            assert time.monotonic() < deadline, f"the script is stuck after {heard!r}"
+            time.sleep(0.005)
+    return heard.strip()
+
+
+def eventually(condition: Callable[[], bool]) -> None:
+    """Waits under the watchdog until something holds."""
+    deadline = time.monotonic() + WATCHDOG
+    while not condition():
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+
+
+def alive(pid: int) -> bool:
+    """Whether a process runs; one that ended and was not collected yet does not."""
+    try:
+        state = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0]
+    except FileNotFoundError:
+        return False
+    return state != "Z"
+
+
+def left_behind(name: str) -> list[str]:
+    """What is left of a server of that name and of its clients in shared memory."""
+    folder = f"trocar.{os.getuid()}.{name}"
+    number = 0x811C9DC5
+    for byte in folder.encode():
+        number = (number ^ byte) * 0x01000193 % 2**32
+    prefix = f"trocar-{number:08x}."
+    return [
+        entry for entry in os.listdir("/dev/shm") if entry == folder or entry.startswith(prefix)
+    ]

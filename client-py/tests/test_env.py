@@ -1,0 +1,231 @@
+"""One environment: Gymnasium's contract, seeds, copies, views."""
+
+from __future__ import annotations
+
+import copy
+import pickle
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+from numpy.typing import NDArray
+
+import trocar
+from trocar._trocar import Client
+from trocar.registration import TASKS
+
+
+def make(task: str, server: str, **options: Any) -> trocar.TrocarEnv:
+    env = gym.make(f"trocar/{task}", server=server, **options).unwrapped
+    assert isinstance(env, trocar.TrocarEnv)
+    return env
+
+
+def constant(env: trocar.TrocarEnv | trocar.TrocarVectorEnv, value: float) -> NDArray[np.float32]:
+    """The same number in every element of an action."""
+    assert env.action_space.shape is not None
+    return np.full(env.action_space.shape, value, np.float32)
+
+
+def same(a: Any, b: Any) -> bool:
+    """Whether two observations or infos agree bit for bit."""
+    if isinstance(a, dict):
+        return a.keys() == b.keys() and all(same(a[key], b[key]) for key in a)
+    a, b = np.asarray(a), np.asarray(b)
+    return bool(a.dtype == b.dtype and a.shape == b.shape and a.tobytes() == b.tobytes())
+
+
+def trajectory(env: trocar.TrocarEnv, steps: int = 60, seed: int = 5) -> list[Any]:
+    """Two episodes under random actions."""
+    rng = np.random.default_rng(seed)
+    taken: list[Any] = [env.reset(seed=seed)]
+    for _ in range(steps):
+        taken.append(env.step(rng.uniform(-1, 1, len(env.task_spec.action))))
+        if taken[-1][2] or taken[-1][3]:
+            taken.append(env.reset())
+    return taken
+
+
+def test_gymnasiums_checker_is_content(task: str, server: str) -> None:
+    env = make(task, server)
+    check_env(env)
+    env.close()
+
+
+def test_every_registered_task_is_known_to_the_server(server: str) -> None:
+    assert set(TASKS) <= set(Client.connect(server).tasks())
+
+
+def test_registered_episode_length_is_the_servers(task: str, server: str) -> None:
+    env = gym.make(f"trocar/{task}", server=server)
+    assert env.spec is not None
+    assert env.spec.max_episode_steps == make(task, server).task_spec.max_steps
+
+
+def test_time_limit_of_gymnasium_and_server_agree(task: str, server: str) -> None:
+    wrapped, bare = gym.make(f"trocar/{task}", server=server), make(task, server)
+    for env in (wrapped, bare):
+        env.reset(seed=0)
+    action = constant(bare, 0)
+    for step in range(1, TASKS[task] + 1):
+        truncated = [env.step(action)[3] for env in (wrapped, bare)]
+        assert truncated == [step == TASKS[task]] * 2
+    for env in (wrapped, bare):
+        env.close()
+
+
+def test_spaces_are_finite_and_hold_what_is_returned(task: str, server: str) -> None:
+    env = make(task, server)
+    assert isinstance(env.observation_space, gym.spaces.Dict)
+    for box in (env.action_space, *env.observation_space.values()):
+        assert isinstance(box, gym.spaces.Box)
+        assert np.isfinite(box.low).all()
+        assert np.isfinite(box.high).all()
+    for values in trajectory(env):
+        observation = values[0]
+        assert observation in env.observation_space
+        assert all(array.dtype == np.float32 for array in observation.values())
+    env.close()
+
+
+def test_same_seed_and_actions_give_the_same_bits(task: str, server: str) -> None:
+    first, second = make(task, server), make(task, server)
+    for a, b in zip(trajectory(first), trajectory(second), strict=True):
+        assert all(same(x, y) for x, y in zip(a, b, strict=True))
+    first.close()
+    second.close()
+
+
+def test_reset_without_seed_goes_on_to_the_next_episode(task: str, server: str) -> None:
+    env = make(task, server)
+    infos = [env.reset(seed=9)[1], env.reset()[1], env.reset()[1], env.reset(seed=9)[1]]
+    assert [(info["episode_seed"], info["episode_index"]) for info in infos] == [
+        (9, 0),
+        (9, 1),
+        (9, 2),
+        (9, 0),
+    ]
+    first, second = env.reset(seed=9)[0], env.reset()[0]
+    assert not same(first, second)
+    env.close()
+
+
+def test_without_any_seed_every_environment_draws_its_own(server: str) -> None:
+    envs = [make("EcmReach-v0", server) for _ in range(4)]
+    assert len({env.reset()[1]["episode_seed"] for env in envs}) == 4
+    for env in envs:
+        env.close()
+
+
+def test_expert_changes_nothing_but_the_info(task: str, server: str) -> None:
+    plain, expert = make(task, server), make(task, server, expert=True)
+    for a, b in zip(trajectory(plain), trajectory(expert), strict=True):
+        assert b[-1].pop("expert_action") in plain.action_space
+        assert all(same(x, y) for x, y in zip(a, b, strict=True))
+    with pytest.raises(ValueError, match="expert=True"):
+        plain.expert_action()
+    plain.close()
+    expert.close()
+
+
+def test_following_the_expert_succeeds(task: str, server: str) -> None:
+    with make(task, server, expert=True) as env:
+        env.reset(seed=1)
+        info: dict[str, Any] = {}
+        for _ in range(TASKS[task]):
+            *_, info = env.step(env.expert_action())
+        assert info["is_success"] is True
+
+
+def test_observations_are_owned_by_the_caller(task: str, server: str) -> None:
+    env = make(task, server)
+    first, _ = env.reset(seed=0)
+    kept = copy.deepcopy(first)
+    env.step(constant(env, 1))
+    assert same(first, kept)
+    first["observation"][:] = 0
+    env.close()
+
+
+def test_views_are_read_only_and_live_for_one_more_step(task: str, server: str) -> None:
+    env, copied = make(task, server, copy=False), make(task, server)
+    action = constant(env, 0.5)
+    view, _ = env.reset(seed=0)
+    expected, _ = copied.reset(seed=0)
+    for _ in range(20):
+        with pytest.raises(ValueError, match="read-only"):
+            view["observation"][0] = 1
+        following, *_ = env.step(action)
+        assert same(view, expected)
+        view, expected = following, copied.step(action)[0]
+    assert not view["observation"].flags.owndata
+    env.close()
+    assert same(view, expected)
+    copied.close()
+
+
+def test_holding_on_to_views_is_refused_and_letting_go_helps(server: str) -> None:
+    env = make("NeedleReach-v0", server, copy=False)
+    held = [env.reset(seed=0)[0]]
+    action = np.zeros(5, np.float32)
+
+    def step_on() -> None:
+        held.extend(env.step(action)[0] for _ in range(20))
+
+    with pytest.raises(trocar.errors.TooManyHeld, match="held"):
+        step_on()
+    held.clear()
+    env.step(action)
+    env.close()
+
+
+def test_a_copy_opens_a_session_of_its_own(task: str, server: str) -> None:
+    env = make(task, server, reward="dense")
+    expected = trajectory(env)
+    for duplicate in (pickle.loads(pickle.dumps(env)), copy.deepcopy(env)):
+        assert duplicate.observation_space == env.observation_space
+        assert duplicate.task_spec == env.task_spec
+        goal = np.zeros(len(env.task_spec.goal or ()), np.float32)
+        assert duplicate.compute_reward(goal, goal, {}) == 0
+        with pytest.raises(gym.error.ResetNeeded):
+            duplicate.step(duplicate.action_space.sample())
+        for a, b in zip(trajectory(duplicate), expected, strict=True):
+            assert all(same(x, y) for x, y in zip(a, b, strict=True))
+        duplicate.close()
+    env.close()
+
+
+def test_closing_twice_is_fine_and_a_closed_environment_says_so(task: str, server: str) -> None:
+    env = make(task, server)
+    env.reset(seed=0)
+    env.close()
+    env.close()
+    for use in (env.reset, lambda: env.step(env.action_space.sample())):
+        with pytest.raises(gym.error.ClosedEnvironmentError):
+            use()
+
+
+def test_environments_of_a_process_share_a_connection(server: str) -> None:
+    envs = [make("NeedleReach-v0", server) for _ in range(3)]
+    clients = {id(env._connection._client) for env in envs}
+    assert len(clients) == 1
+    for env in envs:
+        env.close()
+
+
+def test_sessions_end_when_environments_do(own_server: trocar.Server) -> None:
+    envs = [make("NeedleReach-v0", own_server.name) for _ in range(3)]
+    assert len(own_server.status()["sessions"]) == 3
+    envs.pop().close()
+    envs.pop()
+    assert len(own_server.status()["sessions"]) == 1
+
+
+def test_rendering_is_refused_rather_than_faked(server: str) -> None:
+    env = make("NeedleReach-v0", server)
+    env.render()
+    env.close()
+    with pytest.raises(ValueError, match="render_mode"):
+        trocar.TrocarEnv("NeedleReach-v0", server=server, render_mode="rgb_array")

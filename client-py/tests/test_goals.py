@@ -1,0 +1,73 @@
+"""Rewards as pure functions of goals."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+import trocar
+
+
+@pytest.fixture(params=["sparse", "dense"])
+def env(request: pytest.FixtureRequest, task: str, server: str) -> trocar.TrocarEnv:
+    return trocar.TrocarEnv(task, server=server, reward=request.param, expert=True)
+
+
+def test_computed_rewards_are_those_of_the_steps(env: trocar.TrocarEnv) -> None:
+    env.reset(seed=2)
+    observations, rewards, successes = [], [], []
+    truncated = False
+    while not truncated:
+        observation, reward, terminated, truncated, info = env.step(env.expert_action())
+        assert not terminated
+        observations.append(observation)
+        rewards.append(reward)
+        successes.append(info["is_success"])
+        pair = observation["achieved_goal"], observation["desired_goal"]
+        assert env.compute_reward(*pair, info) == reward
+        assert env.compute_success(*pair) == info["is_success"]
+        assert not env.compute_terminated(*pair, info)
+        assert not env.compute_truncated(*pair, {})
+    assert any(successes)
+    achieved = np.array([observation["achieved_goal"] for observation in observations])
+    desired = np.array([observation["desired_goal"] for observation in observations])
+    expected = np.array(rewards, np.float32)
+    batches: list[Any] = [[{}] * len(rewards), {}, np.array([{}] * len(rewards))]
+    for infos in batches:
+        computed = env.compute_reward(achieved, desired, infos)
+        assert computed.dtype == np.float32
+        assert computed.tobytes() == expected.tobytes()
+    wide = env.compute_reward(achieved.astype(np.float64), desired.astype(np.float64), {})
+    assert wide.tobytes() == expected.tobytes()
+    strided = env.compute_reward(achieved[::2], desired[::2], {})
+    assert strided.tobytes() == expected[::2].tobytes()
+    env.close()
+
+
+def test_batches_keep_their_shape(env: trocar.TrocarEnv) -> None:
+    dim = len(env.task_spec.goal or ())
+    goals = np.zeros((4, 6, dim), np.float32)
+    assert env.compute_reward(goals, goals, {}).shape == (4, 6)
+    assert env.compute_success(goals, goals).all()
+    assert env.compute_terminated(goals, goals, {}).dtype == np.bool_
+    assert env.compute_truncated(goals, goals, {}).shape == (4, 6)
+    assert env.compute_reward(goals[:0], goals[:0], {}).shape == (0, 6)
+    assert np.ndim(env.compute_reward(goals[0, 0], goals[0, 0], {})) == 0
+    assert env.compute_reward(goals[0, 0].tolist(), goals[0, 0].tolist(), {}) == 0
+    env.close()
+
+
+def test_wrong_shapes_are_refused(env: trocar.TrocarEnv) -> None:
+    dim = len(env.task_spec.goal or ())
+    goal = np.zeros((2, dim), np.float32)
+    for achieved, desired, field in (
+        (goal[:, 1:], goal[:, 1:], "achieved_goal"),
+        (goal, goal[:1], "desired_goal"),
+        (np.float32(1), goal, "achieved_goal"),
+        ("near", goal, "achieved_goal"),
+    ):
+        with pytest.raises(ValueError, match=field):
+            env.compute_reward(achieved, desired, {})
+    env.close()

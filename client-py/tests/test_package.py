@@ -1,0 +1,64 @@
+"""The package itself: stubs, the program it finds, examples."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import trocar
+
+EXAMPLES = sorted((Path(__file__).parent.parent / "examples").glob("*.py"))
+
+
+def run(*arguments: str, **variables: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-W", "error", *arguments],
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
+        env={**os.environ, **variables},
+    )
+
+
+def test_stubs_are_those_of_the_module() -> None:
+    # Warnings of mypy's own are no business of ours.
+    checked = subprocess.run(
+        [sys.executable, "-m", "mypy.stubtest", "trocar._trocar"],
+        capture_output=True,
+        text=True,
+        timeout=300,
+        check=False,
+    )
+    assert checked.returncode == 0, checked.stdout
+
+
+def test_the_module_says_where_the_program_is() -> None:
+    said = run("-m", "trocar")
+    assert said.stdout.strip() == trocar.binary()
+    assert said.returncode == 0
+
+
+def test_the_module_runs_the_program() -> None:
+    said = run("-m", "trocar", "--version")
+    assert trocar.__version__ in said.stdout
+    assert said.returncode == 0
+
+
+def test_a_missing_program_gets_advice(tmp_path: Path) -> None:
+    if (Path(sys.executable).parent / "trocar").exists():
+        pytest.skip("the program is installed beside this Python")
+    said = run("-m", "trocar", PATH=str(tmp_path), TROCAR_BINARY="")
+    assert "pip install trocar-server" in said.stderr
+    assert said.returncode != 0
+
+
+@pytest.mark.parametrize("example", EXAMPLES, ids=[path.stem for path in EXAMPLES])
+def test_examples_run(example: Path, server: str) -> None:
+    done = run(str(example), server)
+    assert done.returncode == 0, done.stderr
+    assert "expert: 8 of 8" in done.stdout

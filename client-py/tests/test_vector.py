@@ -1,0 +1,253 @@
+"""Vector environments, against Gymnasium's own made of single ones."""
+
+from __future__ import annotations
+
+import pickle
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from gymnasium.vector import AutoresetMode, SyncVectorEnv
+from test_env import same
+
+import trocar
+from trocar.registration import TASKS
+
+MODES = ["next_step", "same_step", "disabled"]
+
+
+def make_vec(task: str, server: str, num_envs: int = 4, **options: Any) -> trocar.TrocarVectorEnv:
+    envs = gym.make_vec(f"trocar/{task}", num_envs=num_envs, server=server, **options)
+    assert isinstance(envs, trocar.TrocarVectorEnv)
+    return envs
+
+
+def reference(task: str, server: str, num_envs: int, mode: str) -> SyncVectorEnv:
+    """The same out of single environments, by Gymnasium."""
+    return SyncVectorEnv(
+        [lambda: trocar.TrocarEnv(task, server=server)] * num_envs,
+        autoreset_mode=AutoresetMode[mode.upper()],
+    )
+
+
+def actions_of(envs: Any, seed: int) -> Any:
+    return np.random.default_rng(seed).uniform(-1, 1, envs.action_space.shape).astype(np.float32)
+
+
+def check_same_infos(infos: dict[str, Any], expected: dict[str, Any]) -> None:
+    """Whatever Gymnasium's infos say, ours say; successes they may tell of more rows."""
+    assert infos.keys() == expected.keys()
+    for key, mask in expected.items():
+        if not key.startswith("_"):
+            continue
+        name = key[1:]
+        if name == "is_success":
+            assert (infos[key] | ~mask).all()
+        else:
+            assert same(infos[key], mask), key
+        if name == "final_info":
+            check_same_infos(infos[name], expected[name])
+        elif name == "final_obs":
+            assert all(same(infos[name][row], expected[name][row]) for row in np.flatnonzero(mask))
+            assert all(infos[name][row] is None for row in np.flatnonzero(~mask))
+        else:
+            assert same(infos[name][mask], expected[name][mask]), name
+
+
+def check_same_step(step: Any, expected: Any) -> None:
+    assert same(step[0], expected[0])
+    assert step[1].dtype == np.float32
+    assert (step[1] == expected[1]).all()
+    assert same(step[2], expected[2])
+    assert same(step[3], expected[3])
+    check_same_infos(step[4], expected[4])
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_a_session_of_many_is_many_sessions_of_one(task: str, mode: str, server: str) -> None:
+    envs = make_vec(task, server, 4, autoreset_mode=mode)
+    singles = reference(task, server, 4, mode)
+    assert envs.observation_space == singles.observation_space
+    assert envs.action_space == singles.action_space
+    assert envs.single_observation_space == singles.single_observation_space
+    assert envs.metadata["autoreset_mode"] is AutoresetMode[mode.upper()]
+
+    def reset(seed: Any, mask: Any) -> None:
+        options = [None if mask is None else {"reset_mask": mask.copy()} for _ in range(2)]
+        observations, infos = envs.reset(seed=seed, options=options[0])
+        expected: Any
+        expected, expected_infos = singles.reset(seed=seed, options=options[1])
+        assert same(observations, expected)
+        check_same_infos(infos, expected_infos)
+
+    reset(7, None)
+    for step in range(2 * TASKS[task] + 10):
+        actions = actions_of(envs, step)
+        values = envs.step(actions)
+        check_same_step(values, singles.step(actions))
+        ended = values[2] | values[3]
+        if mode == "disabled" and ended.any():
+            reset(None, ended)
+        elif step == 11:
+            reset(None, np.array([False, True, False, True]))
+        elif step == 23:
+            reset([3, None, 5, None], np.array([True, True, False, False]))
+    reset([1, 2, 3, 4], None)
+    reset([1, None, 3, None], None)
+    reset(None, None)
+    envs.close()
+    singles.close()
+
+
+def test_rows_do_not_depend_on_how_many_there_are(task: str, server: str) -> None:
+    many, one = make_vec(task, server, 64), make_vec(task, server, 1)
+    observations, _ = many.reset(seed=0)
+    alone, _ = one.reset(seed=40)
+    for step in range(TASKS[task] + 5):
+        assert all(same(observations[name][40:41], alone[name]) for name in alone)
+        actions = actions_of(many, step)
+        observations, rewards, *_ = many.step(actions)
+        alone, reward, *_ = one.step(actions[40:41])
+        assert rewards[40] == reward[0]
+    many.close()
+    one.close()
+
+
+def test_the_expert_succeeds_on_every_seed(task: str, server: str) -> None:
+    envs = make_vec(task, server, 200, autoreset_mode="disabled", expert=True)
+    _, infos = envs.reset(seed=0)
+    assert (infos["episode_seed"] == np.arange(200)).all()
+    for _ in range(TASKS[task]):
+        assert same(infos["expert_action"], envs.expert_action())
+        *_, truncations, infos = envs.step(infos["expert_action"])
+    assert truncations.all()
+    assert infos["is_success"].sum() == 200
+    envs.close()
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_groups_in_flight_give_the_bits_of_whole_steps(task: str, mode: str, server: str) -> None:
+    whole = make_vec(task, server, 6, autoreset_mode=mode, expert=True)
+    split = make_vec(task, server, 6, autoreset_mode=mode, expert=True)
+    groups = [np.array([0, 3, 4]), np.array([1, 2, 5])]
+    start, _ = whole.reset(seed=3)
+    assert same(split.reset(seed=3)[0], start)
+    for step in range(TASKS[task] - 1 if mode == "disabled" else TASKS[task] + 5):
+        actions = actions_of(whole, step)
+        expected = whole.step(actions)
+        order = groups if step % 3 else groups[::-1]
+        for group in order:
+            split.send(actions[group], group)
+        for group in order:
+            observations, rewards, terminations, truncations, infos = split.recv()
+            assert (infos.pop("env_id") == group).all()
+            assert all(same(observations[name], expected[0][name][group]) for name in observations)
+            assert same(rewards, expected[1][group])
+            assert same(terminations, expected[2][group])
+            assert same(truncations, expected[3][group])
+            for name in ("is_success", "_is_success", "expert_action"):
+                assert same(infos[name], expected[4][name][group])
+        assert same(split.expert_action(), whole.expert_action())
+    mask = np.array([True] + [False] * 5)
+    assert same(
+        split.reset(options={"reset_mask": mask})[0], whole.reset(options={"reset_mask": mask})[0]
+    )
+    whole.close()
+    split.close()
+
+
+def test_at_most_two_disjoint_groups_are_in_flight(server: str) -> None:
+    envs = make_vec("NeedleReach-v0", server, 3)
+    envs.reset(seed=0)
+    action = np.zeros((1, 5), np.float32)
+    with pytest.raises(trocar.errors.NothingInFlight):
+        envs.recv()
+    envs.send(action, [0])
+    envs.send(action, [1])
+    with pytest.raises(trocar.errors.TooManyInFlight):
+        envs.send(action, [2])
+    with pytest.raises(trocar.errors.TooManyInFlight):
+        envs.step(np.zeros((3, 5), np.float32))
+    envs.recv()
+    envs.recv()
+    envs.step(np.zeros((3, 5), np.float32))
+    envs.send(action, [2])
+    # A reset drops what is in flight.
+    envs.reset(seed=0)
+    envs.step(np.zeros((3, 5), np.float32))
+    envs.close()
+
+
+def test_views_are_read_only_and_live_for_one_more_step(task: str, server: str) -> None:
+    envs, copied = make_vec(task, server, copy=False), make_vec(task, server)
+    view, _ = envs.reset(seed=0)
+    expected, _ = copied.reset(seed=0)
+    for step in range(60):
+        assert not view["observation"].flags.writeable
+        assert not view["observation"].flags.owndata
+        assert view["observation"].ctypes.data % 64 == 0
+        actions = actions_of(envs, step)
+        following = envs.step(actions)[0]
+        assert same(view, expected)
+        view, expected = following, copied.step(actions)[0]
+    envs.close()
+    assert same(view, expected)
+    copied.close()
+
+
+def test_observations_are_owned_by_the_caller(task: str, server: str) -> None:
+    envs = make_vec(task, server)
+    first, _ = envs.reset(seed=0)
+    first["observation"][:] = 0
+    mask = np.array([True, False, False, False])
+    second, _ = envs.reset(options={"reset_mask": mask})
+    assert second["observation"][1:].any()
+    envs.close()
+
+
+def test_a_copy_opens_a_session_of_its_own(task: str, server: str) -> None:
+    envs = make_vec(task, server, autoreset_mode="same_step", reward="dense")
+    start, _ = envs.reset(seed=1)
+    duplicate = pickle.loads(pickle.dumps(envs))
+    assert duplicate.observation_space == envs.observation_space
+    with pytest.raises(gym.error.ResetNeeded):
+        duplicate.step(actions_of(envs, 0))
+    assert same(duplicate.reset(seed=1)[0], start)
+    for step in range(TASKS[task] + 3):
+        actions = actions_of(envs, step)
+        check_same_step(duplicate.step(actions), envs.step(actions))
+    duplicate.close()
+    envs.close()
+
+
+def test_closing_twice_is_fine_and_a_closed_environment_says_so(task: str, server: str) -> None:
+    envs = make_vec(task, server)
+    envs.reset(seed=0)
+    envs.close()
+    envs.close()
+    assert envs.closed
+    for use in (envs.reset, lambda: envs.step(actions_of(envs, 0))):
+        with pytest.raises(gym.error.ClosedEnvironmentError):
+            use()
+
+
+def test_attributes_are_shared(server: str) -> None:
+    envs = make_vec("EcmReach-v0", server, 3)
+    assert envs.get_attr("task_spec") == (envs.task_spec,) * 3
+    goal = np.zeros(3, np.float32)
+    assert envs.call("compute_reward", goal, goal) == (0.0,) * 3
+    envs.set_attr("note", "kept")
+    assert envs.get_attr("note") == ("kept",) * 3
+    with pytest.raises(ValueError, match="share"):
+        envs.set_attr("note", [1, 2, 3])
+    envs.close()
+
+
+def test_gymnasiums_vector_wrappers_work(task: str, server: str) -> None:
+    envs = gym.wrappers.vector.RecordEpisodeStatistics(make_vec(task, server))
+    envs.reset(seed=0)
+    for step in range(TASKS[task]):
+        *_, infos = envs.step(actions_of(envs, step))
+    assert (infos["episode"]["l"] == TASKS[task]).all()
+    envs.close()
