@@ -154,6 +154,21 @@ impl Endpoint {
         }
     }
 
+    /// Every file in shared memory that belongs to this endpoint, its folder first.
+    pub fn files(&self) -> io::Result<Vec<PathBuf>> {
+        let mut files = Vec::new();
+        if self.folder.exists() {
+            files.push(self.folder.clone());
+        }
+        for entry in fs::read_dir(SHARED_MEMORY)? {
+            let entry = entry?;
+            if entry.file_name().to_str().is_some_and(|name| name.starts_with(&self.prefix)) {
+                files.push(entry.path());
+            }
+        }
+        Ok(files)
+    }
+
     /// Whether a server runs, and which: one non-blocking lock, a few microseconds.
     pub fn server_state(&self) -> ServerState {
         let Ok(file) = File::open(self.server_lock()) else { return ServerState::Absent };
