@@ -1,29 +1,92 @@
 //! The `trocar` command. JSON goes to stdout, everything for people to stderr.
+//!
+//! | file | holds |
+//! |---|---|
+//! | `serve.rs`, `status.rs`, `stop.rs`, `clean.rs` | a server's life |
+//! | `tasks.rs`, `rollout.rs` | what there is to learn, and how well a policy does |
+//! | `demo.rs` | one server and three clients in two languages at once |
+//! | `options.rs` | a task's options as text |
+//! | `output.rs`, `exit.rs` | JSON lines, tables; exit codes |
 
+mod clean;
+mod demo;
+mod exit;
+mod options;
+mod output;
+mod rollout;
 mod serve;
+mod status;
+mod stop;
+mod tasks;
+
+use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
 use tracing_subscriber::EnvFilter;
 
 /// A surgical-robot simulation service: one server, any number of trainers.
 #[derive(Debug, Parser)]
-#[command(version, arg_required_else_help = true)]
+#[command(version, arg_required_else_help = true, after_help = AFTER_HELP)]
 struct Cli {
     #[command(subcommand)]
     command: Command,
 }
 
+const AFTER_HELP: &str = "\
+A first session:
+  trocar tasks                                   what there is to learn
+  trocar rollout --task NeedleReach-v0           how well its scripted expert does, in this process
+  trocar serve --name lab                        a server that trainers share (Ctrl-C ends it)
+  trocar rollout --task all --server lab         the same episodes, in that server
+  trocar status --name lab --watch               who is connected, and how fast it runs
+  trocar stop --name lab                         ends it
+
+Output: with --json, one JSON object a line on stdout; everything for people goes to stderr.
+
+Exit codes:
+  0  done
+  1  failure
+  2  wrong usage: unknown flag, task or option, or a value that is not allowed
+  3  no server of that name runs (or it ended meanwhile)
+  4  the name is in use by another server, or its files are
+
+Environment:
+  TROCAR_LOG  what is logged to stderr, e.g. warn (default: info) or trocar_server=debug";
+
 #[derive(Debug, Subcommand)]
 enum Command {
     /// Start a server that trainers can connect to
     Serve(serve::Serve),
+    /// Show running servers: who is connected and how fast they run
+    Status(status::Status),
+    /// End a server and wait until it has ended
+    Stop(stop::Stop),
+    /// Remove what crashed servers and clients left in shared memory
+    Clean(clean::Clean),
+    /// List the tasks and their options
+    Tasks(tasks::Tasks),
+    /// Run a policy for some episodes and report how often it succeeds
+    Rollout(rollout::Rollout),
+    /// Show one server with a Rust and two Python clients at work (`make demo`)
+    Demo(demo::Demo),
+    /// One client of the demonstration
+    #[command(hide = true)]
+    DemoClient(demo::client::DemoClient),
 }
 
-fn main() -> anyhow::Result<()> {
+fn main() -> ExitCode {
     let cli = Cli::parse();
     let filter = EnvFilter::try_from_env("TROCAR_LOG").unwrap_or_else(|_| EnvFilter::new("info"));
     tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr).init();
-    match cli.command {
+    let done = match cli.command {
         Command::Serve(serve) => serve.run(),
-    }
+        Command::Status(status) => status.run(),
+        Command::Stop(stop) => stop.run(),
+        Command::Clean(clean) => clean.run(),
+        Command::Tasks(tasks) => tasks.run(),
+        Command::Rollout(rollout) => rollout.run(),
+        Command::Demo(demo) => demo.run(),
+        Command::DemoClient(client) => client.run(),
+    };
+    exit::report(done)
 }

@@ -10,9 +10,21 @@ use trocar_server::tasks::Registry;
 /// How long a private server outlives its last client.
 const LINGER: Duration = Duration::from_secs(3);
 
+/// Start a server that trainers can connect to.
+///
+/// It serves any number of processes of the same user on this machine, in Rust and Python, until
+/// Ctrl-C, SIGTERM or `trocar stop`. A client that dies costs the others nothing.
 #[derive(Debug, Args)]
+#[command(after_help = "\
+Examples:
+  trocar serve                                 the server `default`
+  trocar serve --name lab --threads 8          another one beside it
+  trocar serve --name lab --memory 4GiB --idle-limit 10min
+
+Connect with gym.make(\"trocar/NeedleReach-v0\", server=\"lab\") in Python, with
+Client::connect(\"lab\") in Rust, or set TROCAR_SERVER=lab for programs that name no server.")]
 pub(crate) struct Serve {
-    /// Name that clients connect to
+    /// Name that clients connect to: 1 to 24 letters, digits, - or _
     #[arg(long, default_value = "default")]
     name: ServerName,
     /// Threads that step environments [default: one per core]
@@ -22,10 +34,10 @@ pub(crate) struct Serve {
     #[arg(long, default_value_t = 4096)]
     max_envs: u32,
     /// Memory that all sessions together may take, e.g. 512MiB or 2GiB
-    #[arg(long, default_value = "1GiB", value_parser = parse_bytes)]
+    #[arg(long, value_name = "BYTES", default_value = "1GiB", value_parser = parse_bytes)]
     memory: u64,
     /// Close a session that sends nothing for so long, e.g. 90s, 10min or 1h
-    #[arg(long, default_value = "1h", value_parser = parse_duration)]
+    #[arg(long, value_name = "TIME", default_value = "1h", value_parser = parse_duration)]
     idle_limit: Duration,
     /// Serve the process tree of this process id, and end with it or with the last client
     #[arg(long, value_name = "PID", hide = true)]
@@ -34,7 +46,7 @@ pub(crate) struct Serve {
 
 impl Serve {
     pub(crate) fn run(self) -> anyhow::Result<()> {
-        let defaults = ServerConfig::new(self.name);
+        let defaults = ServerConfig::new(self.name.clone());
         let config = ServerConfig {
             threads: self.threads.unwrap_or(defaults.threads),
             max_envs: self.max_envs,
@@ -46,9 +58,31 @@ impl Serve {
         let stop = StopSignal::default();
         let on_signal = stop.clone();
         ctrlc::set_handler(move || on_signal.set())?;
-        serve(Registry::builtin(), &config, &stop, || {})?;
+        let registry = Registry::builtin();
+        let tasks = registry.ids().count();
+        serve(registry, &config, &stop, || {
+            // A private server has no user who would read this.
+            if config.private.is_none() {
+                announce(&config, tasks);
+            }
+        })?;
         Ok(())
     }
+}
+
+/// Says that clients may come, and how.
+fn announce(config: &ServerConfig, tasks: usize) {
+    let name = &config.name;
+    eprintln!(
+        "\
+Server {name} is ready: {tasks} tasks, {threads} threads, process {pid}.
+  Python  gym.make(\"trocar/NeedleReach-v0\", server=\"{name}\")
+  Rust    Client::connect(\"{name}\")
+  shell   trocar status --name {name} --watch
+Ctrl-C or `trocar stop --name {name}` ends it.",
+        threads = config.threads,
+        pid = std::process::id(),
+    );
 }
 
 fn parse_bytes(text: &str) -> Result<u64, String> {

@@ -1,0 +1,110 @@
+# `make` lists what there is. Everything runs from a fresh clone; nothing is needed that the list
+# does not name.
+
+SHELL := bash
+.SHELLFLAGS := -euo pipefail -c
+.DEFAULT_GOAL := help
+.DELETE_ON_ERROR:
+MAKEFLAGS += --no-builtin-rules
+
+PYTHON ?= python3
+CARGO ?= cargo
+TARGET := $(abspath $(or $(CARGO_TARGET_DIR),target))
+
+# Python tools and the package itself, from a lock file with hashes.
+VENV := .venv
+BIN := $(abspath $(VENV)/bin)
+# The oldest supported Gymnasium and both wheels, as a user has them: no source tree, no Rust.
+WHEEL_VENV := .venv-wheels
+WHEEL_BIN := $(abspath $(WHEEL_VENV)/bin)
+PIP_INSTALL := -m pip install --quiet --disable-pip-version-check
+
+.PHONY: help
+help:
+	@echo 'Needs for everything: Linux, Rust >= 1.95 (cargo), a C linker, make.'
+	@echo 'Those marked * also need Python >= 3.11 with venv, and a package index for pip.'
+	@grep -E '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## (.*)/  make \1\t\2/' | expand -t 18
+
+# ---- Running ----
+
+.PHONY: demo
+demo: $(VENV)/ready ## * one server, a Rust and two Python clients at once; ends with a table
+	$(CARGO) build --release --locked -p trocar
+	cd client-py && VIRTUAL_ENV=$(abspath $(VENV)) $(BIN)/maturin develop --quiet --release --locked
+	$(TARGET)/release/trocar demo --python $(BIN)/python
+
+.PHONY: wheels
+wheels: $(VENV)/ready ## * dist/: the wheels trocar (client) and trocar-server (the program)
+	rm -rf dist
+	$(BIN)/maturin build --release --locked --manifest-path client-py/Cargo.toml --out dist
+	$(BIN)/maturin build --release --locked --manifest-path server/cli/Cargo.toml --out dist
+
+# ---- Checking ----
+
+.PHONY: test
+test: lint test-rust test-python test-wheels ## * all that CI runs: lints, Rust, Python, wheels
+
+.PHONY: lint
+lint: lint-rust lint-python ## * formatting, clippy, ruff, generated assets
+
+.PHONY: lint-rust
+lint-rust:
+	$(CARGO) fmt --all --check
+	$(CARGO) clippy --workspace --all-targets --locked -- -D warnings
+
+.PHONY: lint-python
+lint-python: $(VENV)/ready
+	$(PYTHON) assets/generate.py --check
+	cd client-py && $(BIN)/ruff check . ../assets && $(BIN)/ruff format --check .
+
+.PHONY: test-rust
+test-rust: ## Rust: unit, task suite, command, multi-process (reduced counts)
+	$(CARGO) test --workspace --locked
+
+.PHONY: test-python
+test-python: develop ## * Python with the newest Gymnasium: types, stubs, tests
+	cd client-py && $(BIN)/mypy && $(BIN)/python -m mypy.stubtest trocar._trocar
+	cd client-py && TROCAR_BINARY=$(TARGET)/debug/trocar $(BIN)/python -m pytest
+
+.PHONY: test-wheels
+test-wheels: $(VENV)/ready ## * both wheels with the oldest Gymnasium, without Rust on the PATH
+	rm -rf $(TARGET)/test-wheels
+	$(BIN)/maturin build --profile dev --locked --manifest-path client-py/Cargo.toml --out $(TARGET)/test-wheels
+	$(BIN)/maturin build --profile dev --locked --manifest-path server/cli/Cargo.toml --out $(TARGET)/test-wheels
+	$(PYTHON) -m venv --clear $(WHEEL_VENV)
+	$(WHEEL_BIN)/python $(PIP_INSTALL) --require-hashes -r client-py/requirements-oldest.lock
+	$(WHEEL_BIN)/python $(PIP_INSTALL) --no-index --no-deps $(TARGET)/test-wheels/*.whl
+	cd / && PATH=$(WHEEL_BIN) trocar --version
+	cd / && PATH=$(WHEEL_BIN) python $(CURDIR)/client-py/examples/random_policy.py
+	cd client-py && PATH=$(WHEEL_BIN):/usr/bin:/bin python -m pytest tests
+
+.PHONY: soak
+soak: develop ## * the long bars: 1,000,000 fuzzed messages, long multi-process loops
+	TROCAR_SOAK=1 $(CARGO) test --workspace --locked -- --nocapture
+
+.PHONY: bench
+bench: ## benchmarks (criterion): kinematics, a step in-process, a round trip
+	$(CARGO) bench --workspace --locked
+
+# ---- Keeping house ----
+
+.PHONY: fmt
+fmt: $(VENV)/ready ## * formats Rust and Python
+	$(CARGO) fmt --all
+	cd client-py && $(BIN)/ruff check --fix . && $(BIN)/ruff format .
+
+.PHONY: clean
+clean: ## removes all that the targets above made
+	$(CARGO) clean
+	rm -rf $(VENV) $(WHEEL_VENV) dist client-py/python/trocar/*.so
+
+# The program and the Python package of this tree, in the profile that tests use.
+.PHONY: develop
+develop: $(VENV)/ready
+	$(CARGO) build --locked -p trocar
+	cd client-py && VIRTUAL_ENV=$(abspath $(VENV)) $(BIN)/maturin develop --quiet --locked
+
+$(VENV)/ready: client-py/requirements-dev.lock
+	$(PYTHON) -m venv --clear $(VENV)
+	$(VENV)/bin/python $(PIP_INSTALL) --require-hashes -r $<
+	touch $@

@@ -1,0 +1,256 @@
+//! `trocar demo`: one server, a Rust and two Python clients at work at the same time.
+//!
+//! Every client is a process of its own. It says when it is ready, begins at a line on its stdin,
+//! and reports [`Progress`] as JSON lines on its stdout, which are drawn here.
+
+pub(crate) mod client;
+mod display;
+mod process;
+
+use std::path::PathBuf;
+use std::process::Command;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::{self, RecvTimeoutError};
+use std::time::{Duration, Instant};
+
+use anyhow::{Context, bail};
+use clap::Args;
+use serde::{Deserialize, Serialize};
+use trocar_client::Client;
+use trocar_proto::endpoint::{Endpoint, ServerName};
+
+use crate::output;
+use display::Display;
+use process::Process;
+
+/// How long clients may be silent.
+const PATIENCE: Duration = Duration::from_mins(1);
+
+/// Show one server with a Rust and two Python clients at work.
+#[derive(Debug, Args)]
+#[command(after_help = "\
+`make demo` builds what this needs and runs it from the repository's root. The Python clients need
+the package trocar; --python says whose. Nothing is left behind, however the demonstration ends.")]
+pub(crate) struct Demo {
+    /// How long the clients work, s
+    #[arg(long, default_value_t = 10.0)]
+    seconds: f64,
+    /// Environments of each client
+    #[arg(long, default_value_t = 64, value_parser = clap::value_parser!(u32).range(1..))]
+    envs: u32,
+    /// The Python that has the package trocar
+    #[arg(long, value_name = "PATH", default_value = ".venv/bin/python")]
+    python: PathBuf,
+    /// The program of the Python clients
+    #[arg(long, value_name = "PATH", default_value = "client-py/examples/demo_worker.py")]
+    worker: PathBuf,
+    /// Also one JSON object per client and line, on stdout
+    #[arg(long)]
+    json: bool,
+}
+
+/// One client of the demonstration.
+#[derive(Debug, Clone, Copy)]
+struct Part {
+    name: &'static str,
+    language: &'static str,
+    task: &'static str,
+    seed: u64,
+}
+
+const PARTS: [Part; 3] = [
+    Part { name: "rust", language: "Rust", task: "NeedleReach-v0", seed: 0 },
+    Part { name: "python-1", language: "Python", task: "EcmReach-v0", seed: 100_000 },
+    Part { name: "python-2", language: "Python", task: "NeedleReach-v0", seed: 200_000 },
+];
+
+/// What a client reports: all counts since it began.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
+pub(crate) struct Progress {
+    /// Whether this is its last report.
+    pub(crate) done: bool,
+    /// Time since it began, s.
+    pub(crate) seconds: f64,
+    /// Episodes that ended.
+    pub(crate) episodes: u64,
+    /// Episodes that ended in success.
+    pub(crate) successes: u64,
+    /// Environment steps.
+    pub(crate) steps: u64,
+    /// Median time from sending the actions of a step to having its observations, µs.
+    pub(crate) p50_us: f64,
+}
+
+impl Progress {
+    fn success_rate(&self) -> Option<f64> {
+        (self.episodes > 0).then(|| self.successes as f64 / self.episodes as f64)
+    }
+
+    fn steps_per_second(&self) -> f64 {
+        if self.seconds > 0.0 { self.steps as f64 / self.seconds } else { 0.0 }
+    }
+}
+
+static INTERRUPTED: AtomicBool = AtomicBool::new(false);
+
+impl Demo {
+    pub(crate) fn run(self) -> anyhow::Result<()> {
+        ctrlc::set_handler(|| INTERRUPTED.store(true, Ordering::Release))?;
+        let name: ServerName = format!("demo-{}", std::process::id()).parse()?;
+        let endpoint = Endpoint::new(&name);
+        let played = self.play(&name);
+        // Whatever happened, every process has ended by now.
+        endpoint.remove_if_unused()?;
+        let last = played?;
+        self.show(&last)?;
+        let left = endpoint.files()?;
+        if !left.is_empty() {
+            bail!("left in /dev/shm: {left:?}");
+        }
+        eprintln!(
+            "The server and its {} clients have ended; nothing is left in /dev/shm.",
+            PARTS.len()
+        );
+        Ok(())
+    }
+
+    /// Runs the server and its clients; returns every client's last report.
+    fn play(&self, name: &ServerName) -> anyhow::Result<Vec<Progress>> {
+        let this = std::env::current_exe()?;
+        eprintln!(
+            "Starting one server, and {} client processes of {} environments each.",
+            PARTS.len(),
+            self.envs
+        );
+        let mut server = Command::new(&this);
+        // Private: should this process be killed, the server ends by itself.
+        server.args(["serve", "--name", name.as_str(), "--private"]);
+        server.arg(std::process::id().to_string()).env("TROCAR_LOG", "error");
+        let mut server = Process::start("server", server)?;
+        let client = connect(name, &mut server)?;
+
+        let (sender, reports) = mpsc::channel();
+        let mut workers = Vec::new();
+        for (index, part) in PARTS.iter().enumerate() {
+            let command = self.command(&this, *part, name);
+            let mut worker = Process::start(part.name, command)?;
+            worker.report_to(index, sender.clone());
+            workers.push(worker);
+        }
+        drop(sender);
+
+        let mut display = Display::new(&PARTS, self.seconds);
+        let mut last = [None; PARTS.len()];
+        let mut begun = false;
+        while !last.iter().all(|progress| matches!(progress, Some(Progress { done: true, .. }))) {
+            let (index, line) = next_report(&reports)?;
+            let part = PARTS[index];
+            let Some(line) = line else {
+                if matches!(last[index], Some(Progress { done: true, .. })) {
+                    continue;
+                }
+                bail!("client {} ended early; what it said is above", part.name);
+            };
+            let progress: Progress = serde_json::from_str(&line)
+                .with_context(|| format!("client {} said {line:?}", part.name))?;
+            last[index] = Some(progress);
+            display.show(index, &progress);
+            if !begun && last.iter().all(Option::is_some) {
+                begun = true;
+                workers.iter_mut().try_for_each(Process::begin)?;
+            }
+        }
+        display.finish();
+        for mut worker in workers {
+            worker.wait(PATIENCE)?;
+        }
+        client.shut_down()?;
+        drop(client);
+        server.wait(PATIENCE)?;
+        Ok(last.into_iter().flatten().collect())
+    }
+
+    /// The program of one client.
+    fn command(&self, this: &PathBuf, part: Part, server: &ServerName) -> Command {
+        let mut command = if part.language == "Rust" {
+            let mut command = Command::new(this);
+            command.arg("demo-client");
+            command
+        } else {
+            let mut command = Command::new(&self.python);
+            command.arg(&self.worker);
+            command
+        };
+        command.args(["--server", server.as_str(), "--task", part.task]);
+        command.args(["--envs", &self.envs.to_string(), "--seed", &part.seed.to_string()]);
+        command.args(["--seconds", &self.seconds.to_string()]);
+        command
+    }
+
+    fn show(&self, last: &[Progress]) -> anyhow::Result<()> {
+        let header = ["client", "language", "task", "envs", "episodes", "success", "steps/s"];
+        let header: Vec<_> = header.into_iter().chain(["p50 step latency"]).collect();
+        let mut table = output::table(&header, 3);
+        for (part, progress) in PARTS.iter().zip(last) {
+            if self.json {
+                output::json_line(&serde_json::json!({
+                    "client": part.name,
+                    "language": part.language,
+                    "task": part.task,
+                    "envs": self.envs,
+                    "episodes": progress.episodes,
+                    "success_rate": progress.success_rate(),
+                    "steps_per_second": progress.steps_per_second(),
+                    "p50_us": progress.p50_us,
+                }))?;
+            }
+            table.add_row([
+                part.name.into(),
+                part.language.into(),
+                part.task.into(),
+                self.envs.to_string(),
+                progress.episodes.to_string(),
+                output::percent(progress.success_rate()),
+                format!("{:.0}", progress.steps_per_second()),
+                format!("{:.2} ms", progress.p50_us / 1000.0),
+            ]);
+        }
+        eprintln!("{table}");
+        Ok(())
+    }
+}
+
+/// Connects to the server once it is there.
+fn connect(name: &ServerName, server: &mut Process) -> anyhow::Result<Client> {
+    let start = Instant::now();
+    loop {
+        match Client::connect(name.as_str()) {
+            Ok(client) => return Ok(client),
+            Err(trocar_client::ConnectError::NoServer { .. }) if start.elapsed() < PATIENCE => {
+                server.check()?;
+                std::thread::sleep(Duration::from_millis(5));
+            }
+            Err(error) => return Err(error.into()),
+        }
+    }
+}
+
+/// The next line that a client said, or `None` for its end.
+fn next_report(
+    reports: &mpsc::Receiver<(usize, Option<String>)>,
+) -> anyhow::Result<(usize, Option<String>)> {
+    let start = Instant::now();
+    loop {
+        match reports.recv_timeout(Duration::from_millis(100)) {
+            Ok(report) => return Ok(report),
+            Err(RecvTimeoutError::Disconnected) => bail!("every client has ended early"),
+            Err(RecvTimeoutError::Timeout) if INTERRUPTED.load(Ordering::Acquire) => {
+                bail!("interrupted")
+            }
+            Err(RecvTimeoutError::Timeout) if start.elapsed() > PATIENCE => {
+                bail!("no client has said anything for {} s", PATIENCE.as_secs())
+            }
+            Err(RecvTimeoutError::Timeout) => {}
+        }
+    }
+}

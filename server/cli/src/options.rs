@@ -1,0 +1,148 @@
+//! A task's options as text: `reward=dense`, `domain.latency=0,2`.
+
+use std::collections::BTreeMap;
+
+use serde_json::{Value, json};
+use trocar_proto::spec::{Allowed, OptionSpec};
+use trocar_proto::{OptionValue, Options};
+
+use crate::exit::Exit;
+
+/// `NAME=VALUE` or, for a row of a table, `NAME.ROW=VALUE`.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct Assignment {
+    /// The option.
+    pub(crate) name: String,
+    /// The row, where the option is a table.
+    row: Option<String>,
+    text: String,
+}
+
+impl Assignment {
+    /// The option `name` with the value `text`.
+    pub(crate) fn new(name: &str, text: &str) -> Self {
+        Self { name: name.into(), row: None, text: text.into() }
+    }
+
+    /// Reads `NAME=VALUE` or `NAME.ROW=VALUE`.
+    pub(crate) fn parse(text: &str) -> Result<Self, String> {
+        let (path, value) = text.split_once('=').ok_or("expected NAME=VALUE")?;
+        let (name, row) = match path.split_once('.') {
+            Some((name, row)) => (name, Some(row.to_string())),
+            None => (path, None),
+        };
+        Ok(Self { name: name.into(), row, text: value.into() })
+    }
+
+    /// The value, as the option wants it. What cannot be read as that is left a word, so that the
+    /// task's own check refuses it and says what is allowed.
+    fn value(&self, option: &OptionSpec) -> OptionValue {
+        let word = || OptionValue::Text(self.text.clone());
+        let numbers = || -> Option<Vec<f64>> {
+            self.text.split(',').map(|part| part.trim().parse().ok()).collect()
+        };
+        match (&option.allowed, &self.row) {
+            (Allowed::Flag, None) => self.text.parse().map_or_else(|_| word(), OptionValue::Flag),
+            (Allowed::Range { .. }, None) => {
+                self.text.parse().map_or_else(|_| word(), OptionValue::Number)
+            }
+            (Allowed::SomeOf(_), None) => {
+                OptionValue::Texts(self.text.split(',').map(|part| part.trim().into()).collect())
+            }
+            (Allowed::Vector { .. }, None) => numbers().map_or_else(word, OptionValue::Numbers),
+            (Allowed::Table(_), Some(row)) => match numbers() {
+                Some(numbers) => OptionValue::Table(BTreeMap::from([(row.clone(), numbers)])),
+                None => word(),
+            },
+            _ => word(),
+        }
+    }
+}
+
+/// The options that `assignments` give to a task that knows `known`. Unknown ones are refused.
+pub(crate) fn options(assignments: &[Assignment], known: &[OptionSpec]) -> anyhow::Result<Options> {
+    let mut options = Options::new();
+    for assignment in assignments {
+        let Some(option) = known.iter().find(|option| option.name == assignment.name) else {
+            let names: Vec<_> = known.iter().map(|option| option.name.as_str()).collect();
+            let name = &assignment.name;
+            let text = format!("options.{name}: unknown option; this task knows {names:?}");
+            return Err(Exit::Usage(text).into());
+        };
+        let value = assignment.value(option);
+        match (options.0.get_mut(&assignment.name), value) {
+            // Rows of one table add up.
+            (Some(OptionValue::Table(table)), OptionValue::Table(rows)) => table.extend(rows),
+            (_, value) => options = options.with(&assignment.name, value),
+        }
+    }
+    Ok(options)
+}
+
+/// A value as JSON.
+pub(crate) fn json(value: &OptionValue) -> Value {
+    match value {
+        OptionValue::Flag(flag) => json!(flag),
+        OptionValue::Number(number) => json!(number),
+        OptionValue::Text(text) => json!(text),
+        OptionValue::Numbers(numbers) => json!(numbers),
+        OptionValue::Texts(texts) => json!(texts),
+        OptionValue::Table(table) => json!(table),
+    }
+}
+
+/// What an option accepts as JSON: a list of words, or bounds.
+pub(crate) fn allowed_json(allowed: &Allowed) -> Value {
+    match allowed {
+        Allowed::Flag => json!([true, false]),
+        Allowed::Range { min, max } => json!({"min": min, "max": max}),
+        Allowed::OneOf(words) => json!(words),
+        Allowed::SomeOf(words) => json!({"some_of": words}),
+        Allowed::Vector { count, min, max } => json!({"count": count, "min": min, "max": max}),
+        Allowed::Table(rows) => {
+            let row = |row: &trocar_proto::spec::RowSpec| {
+                (row.name.clone(), json!({"count": row.count, "min": row.min, "max": row.max}))
+            };
+            Value::Object(rows.iter().map(row).collect())
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use trocar_server::tasks::Registry;
+
+    use super::*;
+
+    fn read(texts: &[&str]) -> anyhow::Result<Options> {
+        let assignments: Vec<_> =
+            texts.iter().map(|text| Assignment::parse(text).unwrap()).collect();
+        let registry = Registry::builtin();
+        let spec = registry.spec("NeedleReach-v0", &Options::new()).unwrap();
+        let options = options(&assignments, &spec.options)?;
+        registry.spec("NeedleReach-v0", &options)?;
+        Ok(options)
+    }
+
+    #[test]
+    fn words_lists_and_rows_are_read() {
+        let options =
+            read(&["reward=dense", "domain.latency=0,2", "domain.observation_noise=0, 0.001"])
+                .unwrap();
+        assert_eq!(options.text("reward"), Some("dense"));
+        assert_eq!(options.row("domain", "latency"), Some([0.0, 2.0].as_slice()));
+        assert_eq!(options.row("domain", "observation_noise"), Some([0.0, 0.001].as_slice()));
+        assert!(read(&["observation=state"]).is_ok());
+    }
+
+    #[test]
+    fn what_is_not_allowed_is_refused_with_what_is() {
+        let refused = |text| format!("{:#}", read(&[text]).unwrap_err());
+        assert!(refused("reward=shaped").contains("sparse"));
+        assert!(refused("rewards=dense").contains("reward"));
+        assert!(refused("domain=1").contains("latency"));
+        assert!(refused("domain.latency=soon").contains("latency"));
+        assert!(refused("domain.weather=1,2").contains("latency"));
+        assert!(Assignment::parse("reward").is_err());
+    }
+}

@@ -1,0 +1,292 @@
+//! `trocar rollout`: run a policy for some episodes and report how often it succeeds.
+//!
+//! Episode k is the first episode of seed `--seed + k`, whoever runs it: in this process
+//! ([`in_process`]) or in a server ([`served`]), however many at a time. The numbers are the same.
+
+mod in_process;
+mod policy;
+mod served;
+
+use std::time::Instant;
+
+use clap::Args;
+use indicatif::{ProgressBar, ProgressStyle};
+use serde::Serialize;
+use serde_json::Value;
+use trocar_client::Client;
+use trocar_proto::{Options, TaskSpec};
+use trocar_server::tasks::Registry;
+
+use crate::exit::Exit;
+use crate::options::{self, Assignment};
+use crate::output;
+use policy::Policy;
+
+/// Run a policy for some episodes and report how often it succeeds.
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Examples:
+  trocar rollout                                        every task, its scripted expert, 20 episodes
+  trocar rollout --task NeedleReach-v0 --policy random --episodes 200 --envs 64
+  trocar rollout --task NeedleReach-v0 --spawn narrow --option domain.latency=0,2
+  trocar rollout --server lab --json                    in the server `trocar serve --name lab`
+
+`success` counts episodes whose last step ends in success, `success ever` those with any such step.
+Options apply to every chosen task that knows them; `trocar tasks` lists them. With --json:
+{task, policy, grasp, episodes, success_rate, success_ever_rate, mean_return, mean_length,
+steps_per_second}; grasp and rates are null where a task has none.")]
+pub(crate) struct Rollout {
+    /// A task id of `trocar tasks`, or all
+    #[arg(long, default_value = "all")]
+    task: String,
+    /// Who acts: the task's scripted expert, or uniformly random actions
+    #[arg(long, value_enum, default_value_t = Policy::Oracle)]
+    policy: Policy,
+    /// How many episodes of each task
+    #[arg(long, default_value_t = 20, value_parser = clap::value_parser!(u32).range(1..))]
+    episodes: u32,
+    /// Episode k has the seed SEED + k
+    #[arg(long, default_value_t = 0)]
+    seed: u64,
+    /// Most environments at a time
+    #[arg(long, default_value_t = 16, value_parser = clap::value_parser!(u32).range(1..))]
+    envs: u32,
+    /// Run in the server of that name instead of in this process
+    #[arg(long, value_name = "NAME")]
+    server: Option<String>,
+    /// sparse or dense
+    #[arg(long, value_name = "WORD")]
+    reward: Option<String>,
+    /// What the numbers of an action mean: paper, cartesian, cartesian_abs or joint
+    #[arg(long, value_name = "WORD")]
+    action: Option<String>,
+    /// Where objects and goals appear: workspace or narrow
+    #[arg(long, value_name = "WORD")]
+    spawn: Option<String>,
+    /// Whose numbers: paper or surrol
+    #[arg(long, value_name = "WORD")]
+    preset: Option<String>,
+    /// Any option of the task; for a row of a table NAME.ROW=LOW,HIGH. May be repeated
+    #[arg(long = "option", value_name = "NAME=VALUE", value_parser = Assignment::parse)]
+    options: Vec<Assignment>,
+    /// One JSON object per task and line, on stdout
+    #[arg(long)]
+    json: bool,
+}
+
+/// What is to be run of one task.
+struct Job<'a> {
+    task: &'a str,
+    options: Options,
+    policy: Policy,
+    episodes: u32,
+    seed: u64,
+    envs: u32,
+}
+
+impl Job<'_> {
+    /// The seed of episode `k`.
+    fn seed_of(&self, k: u32) -> u64 {
+        self.seed.wrapping_add(k.into())
+    }
+}
+
+/// How an episode went.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+struct Episode {
+    length: u32,
+    total_reward: f64,
+    /// The last step ended in success.
+    success: bool,
+    /// Some step did.
+    success_ever: bool,
+    /// The simulation failed and ended the episode.
+    failed: bool,
+}
+
+impl Episode {
+    fn step(&mut self, reward: f32, is_success: bool) {
+        self.length += 1;
+        self.total_reward += f64::from(reward);
+        self.success = is_success;
+        self.success_ever |= is_success;
+    }
+
+    /// The last step's simulation failed.
+    fn fail(&mut self) {
+        self.step(0.0, false);
+        self.failed = true;
+    }
+}
+
+/// What is reported of one task.
+#[derive(Debug, Serialize)]
+struct Row {
+    task: String,
+    policy: Policy,
+    grasp: Value,
+    episodes: u32,
+    success_rate: Option<f64>,
+    success_ever_rate: Option<f64>,
+    mean_return: f64,
+    mean_length: f64,
+    steps_per_second: f64,
+}
+
+/// Where the episodes run.
+enum Place {
+    Here(Registry),
+    Server(Client),
+}
+
+impl Place {
+    fn tasks(&self) -> anyhow::Result<Vec<String>> {
+        Ok(match self {
+            Self::Here(registry) => registry.ids().map(str::to_string).collect(),
+            Self::Server(client) => client.tasks()?,
+        })
+    }
+
+    fn spec(&self, task: &str, options: &Options) -> anyhow::Result<TaskSpec> {
+        Ok(match self {
+            Self::Here(registry) => registry.spec(task, options)?,
+            Self::Server(client) => client.describe(task, options)?,
+        })
+    }
+
+    fn run(&self, job: &Job<'_>, progress: &ProgressBar) -> anyhow::Result<Vec<Episode>> {
+        match self {
+            Self::Here(registry) => in_process::run(registry, job, progress),
+            Self::Server(client) => served::run(client, job, progress),
+        }
+    }
+}
+
+impl Rollout {
+    pub(crate) fn run(self) -> anyhow::Result<()> {
+        let place = match &self.server {
+            Some(name) => Place::Server(Client::connect(name)?),
+            None => Place::Here(Registry::builtin()),
+        };
+        let assignments = self.assignments();
+        let header = ["task", "policy", "episodes", "success", "success ever", "mean return"];
+        let header: Vec<_> = header.into_iter().chain(["mean length", "steps/s"]).collect();
+        let mut table = output::table(&header, 2);
+        for (task, options) in self.chosen(&place, &assignments)? {
+            let row = self.roll_out(&place, &task, options)?;
+            if self.json {
+                output::json_line(&row)?;
+            }
+            table.add_row([
+                row.task,
+                row.policy.to_string(),
+                row.episodes.to_string(),
+                output::percent(row.success_rate),
+                output::percent(row.success_ever_rate),
+                format!("{:.2}", row.mean_return),
+                format!("{:.1}", row.mean_length),
+                format!("{:.0}", row.steps_per_second),
+            ]);
+        }
+        if !self.json {
+            eprintln!("{table}");
+        }
+        Ok(())
+    }
+
+    /// All options that were given, by name.
+    fn assignments(&self) -> Vec<Assignment> {
+        let named = [
+            ("reward", &self.reward),
+            ("action", &self.action),
+            ("spawn", &self.spawn),
+            ("preset", &self.preset),
+        ];
+        let named = named
+            .into_iter()
+            .filter_map(|(name, text)| text.as_ref().map(|text| Assignment::new(name, text)));
+        named.chain(self.options.iter().cloned()).collect()
+    }
+
+    /// The tasks to run, each with the options that it knows. One task must know all of them;
+    /// of all tasks, some must.
+    fn chosen(
+        &self,
+        place: &Place,
+        assignments: &[Assignment],
+    ) -> anyhow::Result<Vec<(String, Options)>> {
+        if self.task != "all" {
+            let spec = place.spec(&self.task, &Options::new())?;
+            let options = options::options(assignments, &spec.options)?;
+            return Ok(vec![(self.task.clone(), options)]);
+        }
+        let specs = place
+            .tasks()?
+            .iter()
+            .map(|task| place.spec(task, &Options::new()))
+            .collect::<anyhow::Result<Vec<_>>>()?;
+        let knows = |spec: &TaskSpec, assignment: &Assignment| {
+            spec.options.iter().any(|option| option.name == assignment.name)
+        };
+        if let Some(unknown) =
+            assignments.iter().find(|given| !specs.iter().any(|spec| knows(spec, given)))
+        {
+            let text = format!("options.{}: no task knows this option", unknown.name);
+            return Err(Exit::Usage(text).into());
+        }
+        let with_options = |spec: &TaskSpec| {
+            let known: Vec<_> =
+                assignments.iter().filter(|given| knows(spec, given)).cloned().collect();
+            for ignored in assignments.iter().filter(|given| !knows(spec, given)) {
+                eprintln!("{}: has no option {}, ignored", spec.id, ignored.name);
+            }
+            Ok((spec.id.clone(), options::options(&known, &spec.options)?))
+        };
+        specs.iter().map(with_options).collect()
+    }
+
+    fn roll_out(&self, place: &Place, task: &str, options: Options) -> anyhow::Result<Row> {
+        let spec = place.spec(task, &options)?;
+        let grasp = spec
+            .options
+            .iter()
+            .find(|option| option.name == "grasp")
+            .map(|option| options::json(options.0.get("grasp").unwrap_or(&option.default)));
+        let Self { policy, episodes, seed, envs, .. } = *self;
+        let job = Job { task, options, policy, episodes, seed, envs };
+
+        let progress = progress_bar(task, episodes);
+        let start = Instant::now();
+        let outcomes = place.run(&job, &progress)?;
+        let seconds = start.elapsed().as_secs_f64();
+        progress.finish_and_clear();
+        let failed = outcomes.iter().filter(|episode| episode.failed).count();
+        if failed > 0 {
+            eprintln!("{task}: the simulation of {failed} episodes failed; they count as failures");
+        }
+
+        let count = outcomes.len() as f64;
+        let mean = |of: fn(&Episode) -> f64| outcomes.iter().map(of).sum::<f64>() / count;
+        let has_goal = spec.goal.is_some();
+        let mean_length = mean(|episode| episode.length.into());
+        Ok(Row {
+            task: task.into(),
+            policy,
+            grasp: grasp.unwrap_or(Value::Null),
+            episodes,
+            success_rate: has_goal.then(|| mean(|episode| episode.success.into())),
+            success_ever_rate: has_goal.then(|| mean(|episode| episode.success_ever.into())),
+            mean_return: mean(|episode| episode.total_reward),
+            mean_length,
+            steps_per_second: mean_length * count / seconds,
+        })
+    }
+}
+
+/// A bar on stderr, which shows nothing where that is not a terminal.
+fn progress_bar(task: &str, episodes: u32) -> ProgressBar {
+    let style =
+        ProgressStyle::with_template("{prefix:18} {bar:40} {pos}/{len} episodes, {eta} left")
+            .expect("the template is well-formed");
+    ProgressBar::new(episodes.into()).with_style(style).with_prefix(task.to_string())
+}

@@ -1,0 +1,62 @@
+//! Episodes in this process: every thread takes the next one that nobody has taken.
+
+use std::num::NonZero;
+use std::sync::atomic::{AtomicU32, Ordering};
+use std::thread;
+
+use indicatif::ProgressBar;
+use trocar_server::tasks::Registry;
+use trocar_server::{Env, StepError};
+
+use super::{Episode, Job};
+
+/// Runs all episodes of a job, in order.
+pub(super) fn run(
+    registry: &Registry,
+    job: &Job<'_>,
+    progress: &ProgressBar,
+) -> anyhow::Result<Vec<Episode>> {
+    let env = registry.make(job.task, &job.options)?;
+    let cores = thread::available_parallelism().map_or(1, NonZero::get) as u32;
+    let threads = cores.min(job.envs).min(job.episodes);
+    let next = AtomicU32::new(0);
+    let work = || -> Result<Vec<(u32, Episode)>, StepError> {
+        let mut env = env.clone();
+        let mut done = Vec::new();
+        loop {
+            let k = next.fetch_add(1, Ordering::Relaxed);
+            if k >= job.episodes {
+                return Ok(done);
+            }
+            done.push((k, episode(&mut env, job, k)?));
+            progress.inc(1);
+        }
+    };
+    let results: Vec<_> = thread::scope(|scope| {
+        let workers: Vec<_> = (0..threads).map(|_| scope.spawn(work)).collect();
+        let join = |worker: thread::ScopedJoinHandle<'_, _>| {
+            worker.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic))
+        };
+        workers.into_iter().map(join).collect()
+    });
+    let mut episodes = results.into_iter().collect::<Result<Vec<_>, _>>()?.concat();
+    episodes.sort_by_key(|(k, _)| *k);
+    Ok(episodes.into_iter().map(|(_, episode)| episode).collect())
+}
+
+fn episode(env: &mut Env, job: &Job<'_>, k: u32) -> Result<Episode, StepError> {
+    let seed = job.seed_of(k);
+    let mut actor = job.policy.actor(seed);
+    let mut action = vec![0.0; env.spec().action_dim()];
+    let mut episode = Episode::default();
+    env.reset(Some(seed));
+    while !env.needs_reset() {
+        actor.act(&mut action, |action| env.expert(action));
+        match env.step(&action) {
+            Ok(step) => episode.step(step.reward, step.is_success),
+            Err(StepError::Simulation { .. }) => episode.fail(),
+            Err(error) => return Err(error),
+        }
+    }
+    Ok(episode)
+}

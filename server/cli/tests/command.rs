@@ -1,0 +1,229 @@
+//! The command as a user meets it: exit codes, streams, JSON fields.
+
+#![allow(clippy::unwrap_used)] // a panic is a test's report
+
+use std::process::{Child, Command, Output, Stdio};
+use std::time::{Duration, Instant};
+
+use serde_json::Value;
+
+/// How long anything here may take before it counts as hanging.
+const PATIENCE: Duration = Duration::from_mins(1);
+
+fn trocar(arguments: &[&str]) -> Command {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_trocar"));
+    command.args(arguments).env_remove("TROCAR_SERVER").env("TROCAR_LOG", "warn");
+    command
+}
+
+fn run(arguments: &[&str]) -> Output {
+    let child = trocar(arguments).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+    let pid = child.id();
+    let (sender, ended) = std::sync::mpsc::channel();
+    std::thread::spawn(move || sender.send(child.wait_with_output()));
+    ended.recv_timeout(PATIENCE).unwrap_or_else(|_| panic!("{arguments:?} hangs: {pid}")).unwrap()
+}
+
+fn code(arguments: &[&str]) -> i32 {
+    run(arguments).status.code().unwrap()
+}
+
+fn stderr(output: &Output) -> String {
+    String::from_utf8(output.stderr.clone()).unwrap()
+}
+
+fn json_lines(output: &Output) -> Vec<Value> {
+    assert!(output.status.success(), "{}", stderr(output));
+    let text = std::str::from_utf8(&output.stdout).unwrap();
+    text.lines().map(|line| serde_json::from_str(line).unwrap()).collect()
+}
+
+fn keys(object: &Value) -> Vec<&str> {
+    object.as_object().unwrap().keys().map(String::as_str).collect()
+}
+
+/// A server that ends with this value, however the test ends.
+struct Server {
+    name: String,
+    child: Child,
+}
+
+impl Server {
+    fn start(test: &str) -> Self {
+        let name = format!("cli-{}-{test}", std::process::id());
+        let child = trocar(&["serve", "--name", &name, "--threads", "2"])
+            .stderr(Stdio::null())
+            .spawn()
+            .unwrap();
+        let server = Self { name, child };
+        let start = Instant::now();
+        while code(&["status", "--name", &server.name]) != 0 {
+            assert!(start.elapsed() < PATIENCE, "the server does not come up");
+            std::thread::sleep(Duration::from_millis(20));
+        }
+        server
+    }
+}
+
+impl Drop for Server {
+    fn drop(&mut self) {
+        self.child.kill().ok();
+        self.child.wait().ok();
+        run(&["clean", "--name", &self.name]);
+    }
+}
+
+#[test]
+fn every_help_text_shows_examples() {
+    for command in ["serve", "status", "stop", "clean", "tasks", "rollout"] {
+        let help = run(&[command, "--help"]);
+        let text = String::from_utf8(help.stdout).unwrap();
+        assert!(help.status.success() && text.contains("Examples:"), "{command}: {text}");
+    }
+    let text = String::from_utf8(run(&["--help"]).stdout).unwrap();
+    assert!(text.contains("Exit codes:"), "{text}");
+}
+
+#[test]
+fn exit_codes_tell_what_was_wrong() {
+    for usage in [
+        ["rollout", "--task", "Juggle-v0"].as_slice(),
+        &["rollout", "--task", "EcmReach-v0", "--spawn", "narrow"],
+        &["rollout", "--reward", "shaped"],
+        &["rollout", "--option", "weather=rain"],
+        &["rollout", "--episodes", "0"],
+        &["rollout", "--policy", "genius"],
+        &["serve", "--name", "no spaces"],
+        &["serve", "--memory", "1"],
+        &["juggle"],
+    ] {
+        assert_eq!(code(usage), 2, "{usage:?}");
+    }
+    for missing in ["status", "stop"] {
+        assert_eq!(code(&[missing, "--name", "cli-nobody"]), 3, "{missing}");
+    }
+    assert_eq!(code(&["rollout", "--server", "cli-nobody"]), 3);
+    assert_eq!(code(&["clean", "--name", "cli-nobody"]), 0);
+}
+
+#[test]
+fn a_refused_option_is_named_with_what_is_allowed() {
+    let refused = run(&["rollout", "--task", "NeedleReach-v0", "--reward", "shaped"]);
+    let text = stderr(&refused);
+    for part in ["reward", "shaped", "sparse", "dense"] {
+        assert!(text.contains(part), "{text}");
+    }
+    assert!(refused.stdout.is_empty());
+}
+
+#[test]
+fn tasks_are_listed_with_dimensions_and_options() {
+    let tasks = json_lines(&run(&["tasks", "--json"]));
+    let ids: Vec<_> = tasks.iter().map(|task| task["id"].as_str().unwrap()).collect();
+    assert!(ids.starts_with(&["NeedleReach-v0", "EcmReach-v0"]), "{ids:?}");
+    let expected = [
+        "action_dim",
+        "goal_dim",
+        "id",
+        "max_steps",
+        "observation_dim",
+        "options",
+        "seconds_per_step",
+    ];
+    assert_eq!(keys(&tasks[0]), expected);
+    assert_eq!(tasks[0]["action_dim"], 5);
+    assert_eq!(tasks[0]["options"]["reward"]["default"], "sparse");
+    assert!(stderr(&run(&["tasks"])).contains("EcmReach-v0"));
+}
+
+#[test]
+fn a_rollout_gives_the_same_numbers_in_a_server_and_however_batched() {
+    let server = Server::start("same");
+    let place = ["--server", server.name.as_str()];
+    for policy in ["oracle", "random"] {
+        let common = [
+            "rollout",
+            "--json",
+            "--episodes",
+            "7",
+            "--seed",
+            "40",
+            "--reward",
+            "dense",
+            "--policy",
+            policy,
+        ];
+        let results = [
+            [&common[..], &["--envs", "1"]].concat(),
+            [&common[..], &["--envs", "3"]].concat(),
+            [&common[..], &place, &["--envs", "1"]].concat(),
+            [&common[..], &place, &["--envs", "3"]].concat(),
+            [&common[..], &place, &["--envs", "64"]].concat(),
+        ]
+        .map(|arguments| {
+            let mut rows = json_lines(&run(&arguments));
+            assert_eq!(rows.len(), 2);
+            for row in &mut rows {
+                assert!(row["steps_per_second"].as_f64().unwrap() > 0.0);
+                row.as_object_mut().unwrap().remove("steps_per_second");
+            }
+            rows
+        });
+        let first = &results[0];
+        assert!(results.iter().all(|rows| rows == first), "{results:#?}");
+        assert_eq!(
+            keys(&first[0]),
+            [
+                "episodes",
+                "grasp",
+                "mean_length",
+                "mean_return",
+                "policy",
+                "success_ever_rate",
+                "success_rate",
+                "task"
+            ]
+        );
+        assert_eq!(first[0]["grasp"], Value::Null);
+        assert_eq!(first[0]["success_rate"], if policy == "oracle" { 1.0 } else { 0.0 });
+    }
+}
+
+#[test]
+fn a_server_is_shown_kept_and_stopped() {
+    let mut server = Server::start("life");
+    let name = server.name.clone();
+    let status = json_lines(&run(&["status", "--json", "--name", &name]));
+    assert_eq!(keys(&status[0]), ["epoch", "memory_bytes", "name", "pid", "sessions", "uptime_s"]);
+    assert_eq!(status[0]["pid"], server.child.id());
+
+    let second = run(&["serve", "--name", &name]);
+    assert_eq!(second.status.code(), Some(4));
+    assert!(stderr(&second).contains(&server.child.id().to_string()));
+    assert_eq!(code(&["clean", "--name", &name]), 4);
+
+    assert_eq!(code(&["stop", "--name", &name]), 0);
+    // Stopping waits, so the process has ended and only its parent has not asked yet.
+    assert!(server.child.wait().unwrap().success());
+    assert_eq!(code(&["stop", "--name", &name]), 3);
+    assert!(stderr(&run(&["clean", "--name", &name])).contains("nothing is left"));
+}
+
+#[test]
+fn what_a_killed_server_leaves_is_cleaned() {
+    let mut server = Server::start("killed");
+    server.child.kill().unwrap();
+    server.child.wait().unwrap();
+    assert_eq!(code(&["status", "--name", &server.name]), 3);
+    assert!(stderr(&run(&["clean", "--name", &server.name])).contains("removed"));
+    assert!(stderr(&run(&["clean", "--name", &server.name])).contains("nothing is left"));
+}
+
+#[test]
+fn a_server_that_does_not_answer_is_stopped_by_force() {
+    let mut server = Server::start("stuck");
+    let freeze = format!("kill -STOP {}", server.child.id());
+    assert!(Command::new("sh").args(["-c", &freeze]).status().unwrap().success());
+    assert_eq!(code(&["stop", "--name", &server.name, "--force"]), 0);
+    assert!(!server.child.wait().unwrap().success());
+}
