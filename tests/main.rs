@@ -1,2 +1,27 @@
-//! x
-fn main() {}
+//! Tests that need a server and clients in processes of their own.
+//!
+//! | file | what it tests |
+//! |---|---|
+//! | `harness.rs` | starts servers and clients under unique names, ends them, looks for remains |
+//! | `rows.rs` | what one environment showed after one message, as bits; actions by seed |
+//! | `twin.rs` | the same environments in-process |
+//! | `conformance.rs` | one suite on in-process environments and on a remote session |
+//! | `parity.rs` | same seed and actions, same bits, however it is run |
+//! | `lifecycle.rs` | whoever is killed or stopped, the others go on and nothing is left |
+//! | `refusals.rs` | bad input is refused by name, and harms nobody |
+//! | `fuzz.rs` | hostile bytes sent to a running server |
+//! | `namespaces.rs` | server and client in separate process namespaces |
+//! | `dependencies.rs` | who may depend on what |
+//!
+//! Every test starts its own server, waits under a watchdog, and finds nothing left at its end.
+
+mod conformance;
+mod dependencies;
+mod fuzz;
+mod harness;
+mod lifecycle;
+mod namespaces;
+mod parity;
+mod refusals;
+mod rows;
+mod twin;

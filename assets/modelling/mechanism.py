@@ -46,14 +46,29 @@ class Mechanism:
     def links(self) -> list[Link]:
         """base, yaw, pitch and the cosmetic parallelogram; the caller adds what is inserted."""
         return [
-            Link("base", [Visual("base", self.base(), "shell"),
-                          Visual("base_flange", self.base_flange(), "joint")]),
-            Link("yaw_link", [Visual("yaw_body", self.yaw_body(), "shell"),
-                              Visual("yaw_fork", self.yaw_fork(), "joint")]),
-            Link("pitch_link", [Visual("rail", self.rail(), "shell"),
-                                Visual("rail_track", self.rail_track(), "steel"),
-                                Visual("cannula_mount", self.cannula_mount(), "joint"),
-                                Visual("cannula", self.cannula(), "steel")]),
+            Link(
+                "base",
+                [
+                    Visual("base", self.base(), "shell"),
+                    Visual("base_flange", self.base_flange(), "joint"),
+                ],
+            ),
+            Link(
+                "yaw_link",
+                [
+                    Visual("yaw_body", self.yaw_body(), "shell"),
+                    Visual("yaw_fork", self.yaw_fork(), "joint"),
+                ],
+            ),
+            Link(
+                "pitch_link",
+                [
+                    Visual("rail", self.rail(), "shell"),
+                    Visual("rail_track", self.rail_track(), "steel"),
+                    Visual("cannula_mount", self.cannula_mount(), "joint"),
+                    Visual("cannula", self.cannula(), "steel"),
+                ],
+            ),
             Link("back_link", [Visual("back", self.back_bar(), "shell")]),
             Link("bottom_link", [Visual("bar", self.parallel_bar(), "shell")]),
             Link("top_link", [Visual("bar", self.parallel_bar(), "shell")]),
@@ -64,20 +79,44 @@ class Mechanism:
         low, high, effort, speed = self.pitch
         reverse = (-high, -low, effort, speed)
         back_turn = f"-{HALF_PI} -{HALF_PI} 0"
-        bottom, top = self.bar_heights
-        pivot = lambda height: origin((self.rail_x, height, 0))
+        bottom, top = (origin((self.rail_x, height, 0)) for height in self.bar_heights)
         return [
-            Joint("yaw", "revolute", "base", "yaw_link",
-                  origin(rpy=f"{HALF_PI} -{HALF_PI} 0"), self.yaw),
+            Joint(
+                "yaw",
+                "revolute",
+                "base",
+                "yaw_link",
+                origin(rpy=f"{HALF_PI} -{HALF_PI} 0"),
+                self.yaw,
+            ),
             Joint("pitch", "revolute", "yaw_link", "pitch_link", origin(rpy=back_turn), self.pitch),
-            Joint("insertion", "prismatic", "pitch_link", "insertion_link",
-                  origin((0, -1e3 * self.insertion_offset, 0), f"{HALF_PI} 0 0"), self.insertion),
-            Joint("pitch_back", "revolute", "yaw_link", "back_link",
-                  origin((0, 0, self.back), back_turn), self.pitch, ("pitch", 1)),
-            Joint("pitch_bottom", "revolute", "back_link", "bottom_link", pivot(bottom), reverse,
-                  ("pitch", -1)),
-            Joint("pitch_top", "revolute", "back_link", "top_link", pivot(top), reverse,
-                  ("pitch", -1)),
+            Joint(
+                "insertion",
+                "prismatic",
+                "pitch_link",
+                "insertion_link",
+                origin((0, -1e3 * self.insertion_offset, 0), f"{HALF_PI} 0 0"),
+                self.insertion,
+            ),
+            Joint(
+                "pitch_back",
+                "revolute",
+                "yaw_link",
+                "back_link",
+                origin((0, 0, self.back), back_turn),
+                self.pitch,
+                ("pitch", 1),
+            ),
+            Joint(
+                "pitch_bottom",
+                "revolute",
+                "back_link",
+                "bottom_link",
+                bottom,
+                reverse,
+                ("pitch", -1),
+            ),
+            Joint("pitch_top", "revolute", "back_link", "top_link", top, reverse, ("pitch", -1)),
         ]
 
     def base(self) -> Mesh:
@@ -99,15 +138,18 @@ class Mechanism:
     def yaw_fork(self) -> Mesh:
         """Two cheeks that hold the parallelogram's pivot (along y of frame 1)."""
         w = self.width
-        cheeks = (bar(2.4 * w, 1.1 * w, 0.44 * w, 0.62 * w, 0.04 * w)
-                  + bar(2.4 * w, 1.1 * w, -0.62 * w, -0.44 * w, 0.04 * w))
+        cheeks = bar(2.4 * w, 1.1 * w, 0.44 * w, 0.62 * w, 0.04 * w) + bar(
+            2.4 * w, 1.1 * w, -0.62 * w, -0.44 * w, 0.04 * w
+        )
         pin = rod(0.22 * w, -0.70 * w, 0.70 * w, 0.03 * w)
         return (cheeks.axes((0, 0, 1), (1, 0, 0), (0, 1, 0)) + pin.along_y()).moved(z=self.back)
 
     def back_bar(self) -> Mesh:
         """Stands on the yaw axis and carries both horizontal bars."""
         w = self.width
-        post = slab(0.62 * w, self.bar_heights[1] + 0.8 * w, -0.36 * w, 0.36 * w, 0.30 * w, 0.05 * w)
+        post = slab(
+            0.62 * w, self.bar_heights[1] + 0.8 * w, -0.36 * w, 0.36 * w, 0.30 * w, 0.05 * w
+        )
         foot = bar(self.rail_x, 0.8 * w, -0.36 * w, 0.36 * w, 0.05 * w)
         pins = rod(0.18 * w, -0.60 * w, 0.60 * w, 0.03 * w)
         mesh = foot + post.moved(x=self.rail_x, y=self.bar_heights[1] / 2)
@@ -133,7 +175,9 @@ class Mechanism:
 
     def rail_track(self) -> Mesh:
         w, foot = self.width, self.foot
-        track = slab(0.16 * w, 0.34 * w, foot + 0.5 * w, self.rail_top - 0.3 * w, 0.07 * w, 0.02 * w)
+        track = slab(
+            0.16 * w, 0.34 * w, foot + 0.5 * w, self.rail_top - 0.3 * w, 0.07 * w, 0.02 * w
+        )
         return track.axes((1, 0, 0), (0, 0, -1), (0, 1, 0)).moved(x=self.rail_x - 0.5 * w)
 
     def cannula_mount(self) -> Mesh:
@@ -148,12 +192,23 @@ class Mechanism:
         inner, outer = self.cannula_inner, self.cannula_outer
         top = self.foot + 0.5 * self.width
         funnel = inner + 5.5
-        pipe = lathe([
-            (inner, -28.0), (outer - 0.4, -28.0), (outer, -27.0), (outer, top - 26.0),
-            (outer + 1.5, top - 22.0), (funnel, top - 9.0), (funnel + 1.4, top - 6.0),
-            (funnel + 1.4, top - 0.8), (funnel + 0.6, top), (funnel - 0.8, top),
-            (inner + 0.3, top - 12.0), (inner, top - 16.0),
-        ], closed=True)
+        pipe = lathe(
+            [
+                (inner, -28.0),
+                (outer - 0.4, -28.0),
+                (outer, -27.0),
+                (outer, top - 26.0),
+                (outer + 1.5, top - 22.0),
+                (funnel, top - 9.0),
+                (funnel + 1.4, top - 6.0),
+                (funnel + 1.4, top - 0.8),
+                (funnel + 0.6, top),
+                (funnel - 0.8, top),
+                (inner + 0.3, top - 12.0),
+                (inner, top - 16.0),
+            ],
+            closed=True,
+        )
         mark = tube(outer + 0.15, outer - 0.1, -1.5, 1.5)
         return (pipe + mark).axes((1, 0, 0), (0, 0, -1), (0, 1, 0))
 

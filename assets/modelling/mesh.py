@@ -57,8 +57,8 @@ class Mesh:
 
     def axes(self, x: Point, y: Point, z: Point) -> Mesh:
         """The mesh with its axes turned onto the given right-handed unit vectors."""
-        turn = lambda v: add(add(scale(x, v[0]), scale(y, v[1])), scale(z, v[2]))
-        return Mesh([turn(v) for v in self.vertices], self.triangles)
+        turned = [add(add(scale(x, a), scale(y, b)), scale(z, c)) for a, b, c in self.vertices]
+        return Mesh(turned, self.triangles)
 
     def along_x(self) -> Mesh:
         """The mesh with its z axis laid along x (x → y, y → z)."""
@@ -96,7 +96,7 @@ class Mesh:
         return [tuple(normal(v, faces[i]) for v in t) for i, t in enumerate(self.triangles)]
 
     def mass_properties(self, density: float) -> tuple[float, Point, list[list[float]]]:
-        """Mass (kg), centre of mass (m) and second moments ∫ρ·xᵢ·xⱼ dV about the origin (kg·m²).
+        """Mass (kg), centre of mass (m), second moments ∫ρ·xᵢ·xⱼ dV about the origin (kg·m²).
 
         Each face spans a tetrahedron with the origin; their signed sums are exact for a polyhedron.
         `density` is in kg/m³.
@@ -118,20 +118,24 @@ class Mesh:
 
     def obj(self, name: str, material: str) -> str:
         """Wavefront OBJ text in m with five significant digits."""
-        number = lambda x: f"{x:.5g}" if abs(x) > 1e-9 else "0"
         lines = ["# Made by assets/generate.py. Unit: m.", f"o {name}", f"usemtl {material}"]
         for vertex in self.vertices:
             lines.append("v " + " ".join(number(x * 1e-3) for x in vertex))
         normals: dict[str, int] = {}
         faces = []
-        for triangle, corners in zip(self.triangles, self.corner_normals()):
+        for triangle, corners in zip(self.triangles, self.corner_normals(), strict=True):
             parts = []
-            for vertex, normal in zip(triangle, corners):
+            for vertex, normal in zip(triangle, corners, strict=True):
                 text = " ".join(number(round(x, 4)) for x in normal)
                 parts.append(f"{vertex + 1}//{normals.setdefault(text, len(normals) + 1)}")
             faces.append("f " + " ".join(parts))
         lines += [f"vn {text}" for text in normals]
         return "\n".join(lines + faces) + "\n"
+
+
+def number(x: float) -> str:
+    """Five significant digits; rounding noise is zero."""
+    return f"{x:.5g}" if abs(x) > 1e-9 else "0"
 
 
 def loft(rings: list[list[Point]], closed: bool = False) -> Mesh:
@@ -141,7 +145,7 @@ def loft(rings: list[list[Point]], closed: bool = False) -> Mesh:
     for ring in rings:
         starts.append((len(mesh.vertices), len(ring)))
         mesh.vertices += ring
-    pairs = list(zip(starts, starts[1:] + starts[:1]))
+    pairs = list(zip(starts, starts[1:] + starts[:1], strict=True))
     for (a, na), (b, nb) in pairs if closed else pairs[:-1]:
         for j in range(max(na, nb)):
             a0, a1 = a + j % na, a + (j + 1) % na
@@ -155,8 +159,12 @@ def loft(rings: list[list[Point]], closed: bool = False) -> Mesh:
             if n > 1:
                 centre = len(mesh.vertices)
                 ring = mesh.vertices[start : start + n]
-                mesh.vertices.append(scale((sum(p[0] for p in ring), sum(p[1] for p in ring),
-                                            sum(p[2] for p in ring)), 1.0 / n))
+                mesh.vertices.append(
+                    scale(
+                        (sum(p[0] for p in ring), sum(p[1] for p in ring), sum(p[2] for p in ring)),
+                        1.0 / n,
+                    )
+                )
                 for j in range(n):
                     p, q = start + j, start + (j + 1) % n
                     mesh.triangles.append((centre, q, p) if flip else (centre, p, q))
@@ -187,7 +195,9 @@ def tube(outer: float, inner: float, z0: float, z1: float, segments: int = 48) -
     return lathe([(inner, z0), (outer, z0), (outer, z1), (inner, z1)], segments, closed=True)
 
 
-def rounded_rectangle(width: float, depth: float, radius: float, corner: int = 6) -> list[tuple[float, float]]:
+def rounded_rectangle(
+    width: float, depth: float, radius: float, corner: int = 6
+) -> list[tuple[float, float]]:
     """Outline (x, y) about the origin with round corners, counter-clockwise."""
     x, y = width / 2.0 - radius, depth / 2.0 - radius
     outline = []
@@ -198,17 +208,27 @@ def rounded_rectangle(width: float, depth: float, radius: float, corner: int = 6
     return outline
 
 
-def slab(width: float, depth: float, z0: float, z1: float, radius: float, bevel: float,
-         corner: int = 6) -> Mesh:
+def slab(
+    width: float, depth: float, z0: float, z1: float, radius: float, bevel: float, corner: int = 6
+) -> Mesh:
     """A block with round vertical edges (`radius`) and bevelled rims; `radius` exceeds `bevel`."""
+
     def ring(inset: float, z: float) -> list[Point]:
         flat = rounded_rectangle(width - 2 * inset, depth - 2 * inset, radius - inset, corner)
         return [(x, y, z) for x, y in flat]
 
     # Two steps approximate a round edge.
     soft = bevel * (1.0 - math.sqrt(0.5))
-    return loft([ring(bevel, z0), ring(soft, z0 + soft), ring(0.0, z0 + bevel),
-                 ring(0.0, z1 - bevel), ring(soft, z1 - soft), ring(bevel, z1)])
+    return loft(
+        [
+            ring(bevel, z0),
+            ring(soft, z0 + soft),
+            ring(0.0, z0 + bevel),
+            ring(0.0, z1 - bevel),
+            ring(soft, z1 - soft),
+            ring(bevel, z1),
+        ]
+    )
 
 
 def bar(length: float, width: float, z0: float, z1: float, bevel: float, corner: int = 12) -> Mesh:

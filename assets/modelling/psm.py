@@ -12,7 +12,7 @@ from .urdf import FLIPPED, HALF_PI, Joint, Link, Model, Visual, box, capsule, or
 SHAFT_RADIUS = 4.2
 PITCH_TO_YAW = 9.1
 JAW_LENGTH = 10.2
-FAST = 18.849555921538759  # rad/s, 1080 °/s
+FAST = 12 * HALF_PI  # rad/s, 1080 °/s
 
 
 @dataclass(frozen=True)
@@ -28,38 +28,79 @@ class Generation:
     instrument: str
 
 
-CLASSIC = Generation("psm", -0.4318, 0.4162, 0.24, 1.588, (-0.925025, 0.925025),
-                     (3.316101, 3.316101, 9.877926), -0.698132, "400006")
-SI = Generation("psm_si", -0.4826, 0.4670, 0.29, 2.964, (-1.265, 1.301),
-                (17.0845, 17.0845, 40.9063), -0.349066, "420006")
+CLASSIC = Generation(
+    "psm",
+    -0.4318,
+    0.4162,
+    0.24,
+    1.588,
+    (-0.925025, 0.925025),
+    (3.316101, 3.316101, 9.877926),
+    -0.698132,
+    "400006",
+)
+SI = Generation(
+    "psm_si",
+    -0.4826,
+    0.4670,
+    0.29,
+    2.964,
+    (-1.265, 1.301),
+    (17.0845, 17.0845, 40.9063),
+    -0.349066,
+    "420006",
+)
 
 
 def model(generation: Generation, lender: Model | None = None) -> Model:
     g = generation
-    quarter = 1.5707963267948966
     mechanism = Mechanism(
-        back=486.4, insertion_offset=g.insertion_offset, width=44.0,
-        rail_top=-1e3 * g.insertion_offset + 60.0, cannula_inner=4.4, cannula_outer=5.4,
-        yaw=(-g.yaw, g.yaw, g.effort[0], quarter), pitch=(*g.pitch, g.effort[1], quarter),
+        back=486.4,
+        insertion_offset=g.insertion_offset,
+        width=44.0,
+        rail_top=-1e3 * g.insertion_offset + 60.0,
+        cannula_inner=4.4,
+        cannula_outer=5.4,
+        yaw=(-g.yaw, g.yaw, g.effort[0], HALF_PI),
+        pitch=(*g.pitch, g.effort[1], HALF_PI),
         insertion=(0.0, g.insertion_max, g.effort[2], 0.2),
     )
     length = 1e3 * g.roll_offset
     links = mechanism.links() + [
-        Link("insertion_link", [Visual("carriage", carriage(mechanism), "joint"),
-                                Visual("housing", housing(), "shell"),
-                                Visual("housing_trim", housing_trim(), "accent")]),
-        Link("roll_link",
-             [Visual("shaft", shaft(length), "graphite"),
-              Visual("shaft_end", shaft_end(), "steel")],
-             [capsule(SHAFT_RADIUS, length - 30.0, origin((0, 0, -4.2 - (length - 30.0) / 2)))]),
-        Link("wrist_pitch_link", [Visual("clevis", clevis(), "steel")],
-             [capsule(2.6, PITCH_TO_YAW - 2.6, origin(((PITCH_TO_YAW - 2.6) / 2, 0, 0),
-                                                     f"0 {HALF_PI} 0"))]),
+        Link(
+            "insertion_link",
+            [
+                Visual("carriage", carriage(mechanism), "joint"),
+                Visual("housing", housing(), "shell"),
+                Visual("housing_trim", housing_trim(), "accent"),
+            ],
+        ),
+        Link(
+            "roll_link",
+            [Visual("shaft", shaft(length), "graphite"), Visual("shaft_end", shaft_end(), "steel")],
+            [capsule(SHAFT_RADIUS, length - 30.0, origin((0, 0, -4.2 - (length - 30.0) / 2)))],
+        ),
+        Link(
+            "wrist_pitch_link",
+            [Visual("clevis", clevis(), "steel")],
+            [
+                capsule(
+                    2.6,
+                    PITCH_TO_YAW - 2.6,
+                    origin(((PITCH_TO_YAW - 2.6) / 2, 0, 0), f"0 {HALF_PI} 0"),
+                )
+            ],
+        ),
         Link("wrist_yaw_link", [Visual("axle", rod(1.0, -2.85, 2.85, 0.15, 32), "carbide")]),
         Link("jaw_link"),
-        Link("jaw_1_link", [Visual("jaw", jaw(), "steel")], [box((1.4, 10.2, 1.8), (-0.7, 5.1, 0))]),
-        Link("jaw_2_link", [Visual("jaw", jaw(), "steel", FLIPPED)],
-             [box((1.4, 10.2, 1.8), (0.7, 5.1, 0))]),
+        Link(
+            "jaw_1_link", [Visual("jaw", jaw(), "steel")], [box((1.4, 10.2, 1.8), (-0.7, 5.1, 0))]
+        ),
+        Link(
+            "jaw_2_link",
+            [Visual("jaw", jaw(), "steel", FLIPPED)],
+            [box((1.4, 10.2, 1.8), (0.7, 5.1, 0))],
+        ),
         Link("wrist"),
         Link("tip"),
     ]
@@ -67,19 +108,44 @@ def model(generation: Generation, lender: Model | None = None) -> Model:
     low, high = g.jaw_min, 1.39626
     half = (low / 2, high / 2, 0.16, FAST / 2)
     joints = mechanism.joints() + [
-        Joint("roll", "revolute", "insertion_link", "roll_link", origin((0, 0, length)),
-              (-4.53786, 4.53786, 0.33, FAST)),
-        Joint("wrist_pitch", "revolute", "roll_link", "wrist_pitch_link", bent,
-              (-1.39626, 1.39626, 0.25, FAST)),
-        Joint("wrist_yaw", "revolute", "wrist_pitch_link", "wrist_yaw_link",
-              origin((PITCH_TO_YAW, 0, 0), f"-{HALF_PI} -{HALF_PI} 0"),
-              (-1.39626, 1.39626, 0.20, FAST)),
+        Joint(
+            "roll",
+            "revolute",
+            "insertion_link",
+            "roll_link",
+            origin((0, 0, length)),
+            (-4.53786, 4.53786, 0.33, FAST),
+        ),
+        Joint(
+            "wrist_pitch",
+            "revolute",
+            "roll_link",
+            "wrist_pitch_link",
+            bent,
+            (-1.39626, 1.39626, 0.25, FAST),
+        ),
+        Joint(
+            "wrist_yaw",
+            "revolute",
+            "wrist_pitch_link",
+            "wrist_yaw_link",
+            origin((PITCH_TO_YAW, 0, 0), f"-{HALF_PI} -{HALF_PI} 0"),
+            (-1.39626, 1.39626, 0.20, FAST),
+        ),
         Joint("jaw", "revolute", "wrist_yaw_link", "jaw_link", origin(), (low, high, 0.16, FAST)),
         Joint("jaw_1", "revolute", "wrist_yaw_link", "jaw_1_link", origin(), half, ("jaw", 0.5)),
-        Joint("jaw_2", "revolute", "wrist_yaw_link", "jaw_2_link", origin(),
-              (-half[1], -half[0], *half[2:]), ("jaw", -0.5)),
-        Joint("wrist_frame", "fixed", "wrist_yaw_link", "wrist",
-              origin(rpy=f"-{HALF_PI} {HALF_PI} 0")),
+        Joint(
+            "jaw_2",
+            "revolute",
+            "wrist_yaw_link",
+            "jaw_2_link",
+            origin(),
+            (-half[1], -half[0], *half[2:]),
+            ("jaw", -0.5),
+        ),
+        Joint(
+            "wrist_frame", "fixed", "wrist_yaw_link", "wrist", origin(rpy=f"-{HALF_PI} {HALF_PI} 0")
+        ),
         Joint("tip_frame", "fixed", "wrist", "tip", origin((0, 0, JAW_LENGTH))),
     ]
     comment = f"Base: the remote centre. Instrument: Large Needle Driver {g.instrument}."
@@ -129,9 +195,15 @@ def clevis() -> Mesh:
     def section(x: float, y: float, z: float, radius: float) -> list[Point]:
         return [(x, a, b) for a, b in rounded_rectangle(2 * y, 2 * z, radius)]
 
-    web = loft([section(0.0, 2.2, 2.0, 0.6), section(2.2, 2.3, 2.1, 0.6),
-                section(3.6, 2.5, 2.4, 0.7), section(6.1, 2.5, 2.4, 0.7),
-                section(6.3, 2.35, 2.25, 0.6)])
+    web = loft(
+        [
+            section(0.0, 2.2, 2.0, 0.6),
+            section(2.2, 2.3, 2.1, 0.6),
+            section(3.6, 2.5, 2.4, 0.7),
+            section(6.1, 2.5, 2.4, 0.7),
+            section(6.3, 2.35, 2.25, 0.6),
+        ]
+    )
     # Laid so that the bars' z is the wrist-yaw axis and their length runs back along x.
     prongs = bar(4.6, 4.9, 1.55, 2.6, 0.2) + bar(4.6, 4.9, -2.6, -1.55, 0.2)
     return hub + web + prongs.axes((-1, 0, 0), (0, 0, 1), (0, 1, 0)).moved(x=PITCH_TO_YAW)

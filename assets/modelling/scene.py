@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from .mesh import Mesh, Point, loft, rounded_rectangle, slab
-from .urdf import Collision, Joint, Link, Model, Visual, box, capsule, origin
+from .urdf import HALF_PI, Collision, Joint, Link, Model, Visual, box, capsule, origin
 
 RADIUS = 20.0  # of the needle's arc
 WIRE = 0.5  # radius of the needle's wire
@@ -19,14 +19,27 @@ def arc(degrees: float, radius: float = RADIUS) -> Point:
 
 
 def needle() -> Model:
-    frames = {"mid_arc": 0.0, "point_45": -45.0, "swage_45": 45.0, "point_60": -60.0, "swage_60": 60.0}
+    frames = {
+        "mid_arc": 0.0,
+        "point_45": -45.0,
+        "swage_45": 45.0,
+        "point_60": -60.0,
+        "swage_60": 60.0,
+    }
     links = [Link("needle", [Visual("needle", needle_mesh(), "steel")], needle_capsules())]
     joints = []
     for name, degrees in frames.items():
         links.append(Link(name))
-        joints.append(Joint(f"{name}_frame", "fixed", "needle", name,
-                            origin(arc(degrees), f"0 0 {math.radians(-degrees):.10g}")))
-    return Model("needle", links, joints, "Origin: centre of the arc; the needle lies in the xy plane.")
+        joints.append(
+            Joint(
+                f"{name}_frame",
+                "fixed",
+                "needle",
+                name,
+                origin(arc(degrees), f"0 0 {math.radians(0.0 - degrees):.10g}"),
+            )
+        )
+    return Model("needle", links, joints, "Origin: centre of the arc, in the xy plane.")
 
 
 def needle_mesh() -> Mesh:
@@ -42,18 +55,25 @@ def needle_mesh() -> Mesh:
         for i in range(16):
             a = 2.0 * math.pi * i / 16
             side = radius * math.cos(a)
-            points.append((centre[0] + side * outward[0], centre[1] + side * outward[1],
-                           radius * math.sin(a)))
+            points.append(
+                (centre[0] + side * outward[0], centre[1] + side * outward[1], radius * math.sin(a))
+            )
         return points
 
     rings.append(ring(-90.0, 0.0))
     taper = 14.0  # degrees of arc, about 5 mm
     for i in range(1, 11):
         s = i / 10
-        rings.append(ring(-90.0 + taper * s, WIRE * s ** 0.75))
+        rings.append(ring(-90.0 + taper * s, WIRE * s**0.75))
     rings += [ring(-90.0 + taper + (178.2 - taper) * i / 64, WIRE) for i in range(1, 65)]
     # The rim of the swage and the bore, 1.2 mm deep.
-    rings += [ring(89.2, WIRE), ring(89.8, 0.46), ring(90.0, 0.40), ring(90.0, 0.26), ring(86.6, 0.22)]
+    rings += [
+        ring(89.2, WIRE),
+        ring(89.8, 0.46),
+        ring(90.0, 0.40),
+        ring(90.0, 0.26),
+        ring(86.6, 0.22),
+    ]
     return loft(rings)
 
 
@@ -72,17 +92,17 @@ def needle_capsules() -> list[Collision]:
         degrees = -90.0 + margin + step * (i + 0.5)
         centre = arc(degrees, radius * math.cos(math.radians(step / 2)))
         # A capsule lies along its z: turn z into the plane, then along the chord.
-        pose = origin(centre, f"1.5707963267948966 0 {math.radians(180.0 - degrees):.10g}")
+        pose = origin(centre, f"{HALF_PI} 0 {math.radians(180.0 - degrees):.10g}")
         pieces.append(capsule(WIRE, length, pose))
     return pieces
 
 
 def pad() -> Model:
-    """Silicone pad 101 × 170 × 5.2 mm, centred 3.6 mm above the origin: it shares the tray's pose."""
+    """Silicone pad 101 × 170 × 5.2 mm, centred 3.6 mm above the tray's origin."""
     size = (101.0, 170.0, 5.2)
     mesh = slab(size[0], size[1], 1.0, 6.2, 6.0, 0.8)
     link = Link("pad", [Visual("pad", mesh, "silicone")], [box(size, (0, 0, 3.6))])
-    return Model("pad", [link], comment="Origin: that of the tray in which the pad lies.")
+    return Model("pad", [link], comment="Origin: that of the tray it lies in.")
 
 
 def tray() -> Model:
@@ -93,15 +113,24 @@ def tray() -> Model:
         flat = rounded_rectangle(width - 2 * inset, depth - 2 * inset, radius, 8)
         return [(x, y, z) for x, y in flat]
 
-    mesh = loft([ring(0.2, 0.0, 5.8), ring(0.0, 0.2, 6.0), ring(0.0, height - 0.6, 6.0),
-                 ring(0.6, height, 5.4), ring(wall - 0.6, height, 3.6),
-                 ring(wall, height - 0.6, 3.0), ring(wall, floor, 3.0)])
+    mesh = loft(
+        [
+            ring(0.2, 0.0, 5.8),
+            ring(0.0, 0.2, 6.0),
+            ring(0.0, height - 0.6, 6.0),
+            ring(0.6, height, 5.4),
+            ring(wall - 0.6, height, 3.6),
+            ring(wall, height - 0.6, 3.0),
+            ring(wall, floor, 3.0),
+        ]
+    )
     inside = depth - 2 * wall
     collisions = [box((width, depth, floor), (0, 0, floor / 2))]
     for side in (-1, 1):
         collisions.append(box((wall, depth, height), (side * (width - wall) / 2, 0, height / 2)))
-        collisions.append(box((width - 2 * wall, wall, height),
-                              (0, side * (inside + wall) / 2, height / 2)))
+        collisions.append(
+            box((width - 2 * wall, wall, height), (0, side * (inside + wall) / 2, height / 2))
+        )
     link = Link("tray", [Visual("tray", mesh, "tray")], collisions)
     return Model("tray", [link], comment="Origin: centre of the underside.")
 
@@ -115,6 +144,9 @@ def table() -> Model:
         for y in (-1, 1):
             leg = slab(40.0, 40.0, 0.0, top - plate + 5.0, 8.0, 1.5)
             legs += leg.moved(x=x * (width / 2 - 40.0), y=y * (depth / 2 - 40.0))
-    link = Link("table", [Visual("top", slab_top, "table"), Visual("legs", legs, "joint")],
-                [box((width, depth, plate), (0, 0, top - plate / 2))])
+    link = Link(
+        "table",
+        [Visual("top", slab_top, "table"), Visual("legs", legs, "joint")],
+        [box((width, depth, plate), (0, 0, top - plate / 2))],
+    )
     return Model("table", [link], comment="Origin: the floor below the centre of the plate.")

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
 from .mesh import Mesh
 
-HALF_PI = "1.5707963267948966"
-PI = "3.141592653589793"
+HALF_PI = math.pi / 2
 
 # name: (rgba, density in kg/m³). Shafts and housings are hollow: theirs are mean densities.
 MATERIALS = {
@@ -77,7 +77,8 @@ def box(size: tuple[float, float, float], centre: tuple[float, float, float]) ->
 
 def capsule(radius: float, length: float, pose: str) -> Collision:
     """A capsule along z; `length` is the distance between the centres of its end spheres."""
-    return Collision(f'<capsule radius="{radius * 1e-3:.10g}" length="{length * 1e-3:.10g}"/>', pose)
+    size = f'radius="{radius * 1e-3:.10g}" length="{length * 1e-3:.10g}"'
+    return Collision(f"<capsule {size}/>", pose)
 
 
 @dataclass
@@ -139,8 +140,10 @@ def link_lines(link: Link, mesh_path: Callable[[Visual], str]) -> list[str]:
         lines.append("    <visual>")
         lines += [f"      <origin {visual.origin}/>"] if visual.origin else []
         lines.append(f'      <geometry><mesh filename="{mesh_path(visual)}"/></geometry>')
-        lines.append(f'      <material name="{visual.material}"><color rgba="'
-                     f'{MATERIALS[visual.material][0]}"/></material>')
+        lines.append(
+            f'      <material name="{visual.material}"><color rgba="'
+            f'{MATERIALS[visual.material][0]}"/></material>'
+        )
         lines.append("    </visual>")
     for collision in link.collisions:
         lines.append("    <collision>")
@@ -166,33 +169,42 @@ def inertial_lines(link: Link) -> list[str]:
     centre = [x / mass for x in first]
     about = [[second[i][j] - mass * centre[i] * centre[j] for j in range(3)] for i in range(3)]
     trace = about[0][0] + about[1][1] + about[2][2]
-    names = (("ixx", 0, 0), ("ixy", 0, 1), ("ixz", 0, 2), ("iyy", 1, 1), ("iyz", 1, 2), ("izz", 2, 2))
-    inertia = {n: (trace if i == j else 0.0) - about[i][j] for n, i, j in names}
+    inertia = {
+        f"i{'xyz'[i]}{'xyz'[j]}": (trace if i == j else 0.0) - about[i][j]
+        for i in range(3)
+        for j in range(i, 3)
+    }
     # Products of inertia that vanish by symmetry come out as rounding noise.
     inertia = {n: v if abs(v) > 1e-9 * trace else 0.0 for n, v in inertia.items()}
     centre = [c if abs(c) > 1e-9 else 0.0 for c in centre]
     tensor = " ".join(f'{n}="{v:.6g}"' for n, v in inertia.items())
-    return ["    <inertial>",
-            f'      <origin xyz="{" ".join(f"{c:.6g}" for c in centre)}" rpy="0 0 0"/>',
-            f'      <mass value="{mass:.6g}"/>',
-            f"      <inertia {tensor}/>",
-            "    </inertial>"]
+    return [
+        "    <inertial>",
+        f'      <origin xyz="{" ".join(f"{c:.6g}" for c in centre)}" rpy="0 0 0"/>',
+        f'      <mass value="{mass:.6g}"/>',
+        f"      <inertia {tensor}/>",
+        "    </inertial>",
+    ]
 
 
 def joint_lines(joint: Joint) -> list[str]:
-    lines = [f'  <joint name="{joint.name}" type="{joint.kind}">',
-             f'    <parent link="{joint.parent}"/>',
-             f'    <child link="{joint.child}"/>',
-             f"    <origin {joint.origin}/>"]
+    lines = [
+        f'  <joint name="{joint.name}" type="{joint.kind}">',
+        f'    <parent link="{joint.parent}"/>',
+        f'    <child link="{joint.child}"/>',
+        f"    <origin {joint.origin}/>",
+    ]
     if joint.kind != "fixed":
         lower, upper, effort, velocity = joint.limit
         lines.append('    <axis xyz="0 0 1"/>')
-        lines.append(f'    <limit lower="{lower!r}" upper="{upper!r}" '
-                     f'effort="{effort!r}" velocity="{velocity!r}"/>')
+        lines.append(
+            f'    <limit lower="{lower!r}" upper="{upper!r}" '
+            f'effort="{effort!r}" velocity="{velocity!r}"/>'
+        )
     if joint.mimic:
         lines.append(f'    <mimic joint="{joint.mimic[0]}" multiplier="{joint.mimic[1]:g}"/>')
     return lines + ["  </joint>"]
 
 
 # A half turn about y: how the second jaw is made from the first.
-FLIPPED = origin(rpy=f"0 {PI} 0")
+FLIPPED = origin(rpy=f"0 {math.pi} 0")

@@ -6,10 +6,11 @@ import os
 import signal
 import subprocess
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import Script, alive, eventually, hear, left_behind, say
+from conftest import Script, alive, eventually, hear, left_behind, say, state
 from test_env import constant, make, same
 from test_vector import make_vec
 
@@ -44,8 +45,11 @@ STEPPING = """
 
 
 def pause(server: trocar.Server) -> None:
+    """Stops every thread of a server, and waits until they have stopped."""
     assert server.pid is not None
     os.kill(server.pid, signal.SIGSTOP)
+    threads = Path(f"/proc/{server.pid}/task")
+    eventually(lambda: all(state(thread) == "T" for thread in threads.iterdir()))
 
 
 def resume(server: trocar.Server) -> None:
@@ -246,7 +250,8 @@ WORKERS = """
         env.reset(seed=index)
         env.step(env.action_space.sample())
         queue.put(trocar.status()["pid"])
-        go.wait()
+        while not go.wait(0.1) and multiprocessing.parent_process().is_alive():
+            pass
         env.close()
 
     if __name__ == "__main__":

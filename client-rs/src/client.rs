@@ -58,8 +58,15 @@ impl Client {
     #[doc(hidden)]
     pub fn launch(server: &private::PrivateServer, language: &str) -> Result<Self, ConnectError> {
         let membership = server.endpoint().join().map_err(shared_memory)?;
-        server.start_if_absent(&membership)?;
-        Self::over(&membership, language)
+        let start = Instant::now();
+        loop {
+            server.start_if_absent(&membership)?;
+            match Self::over(&membership, language) {
+                // It ended just then, as its last client was gone: start another.
+                Err(ConnectError::NoServer { .. }) if start.elapsed() < PATIENCE => {}
+                result => return result,
+            }
+        }
     }
 
     fn over(membership: &Membership, language: &str) -> Result<Self, ConnectError> {

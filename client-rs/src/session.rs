@@ -21,6 +21,8 @@ pub struct Session {
     reply_layout: Arc<ReplyLayout>,
     want_expert: bool,
     requests: u64,
+    /// A request was not answered, and none will be.
+    ended: bool,
 }
 
 /// A request that was not answered yet. Declared order is drop order.
@@ -64,6 +66,7 @@ impl Session {
             reply_layout,
             want_expert: false,
             requests: 0,
+            ended: false,
         })
     }
 
@@ -165,7 +168,17 @@ impl Session {
     pub fn poll(&mut self, patience: Duration) -> Result<Option<Reply>, CallError> {
         let port = self.port.get()?;
         let Some(oldest) = self.in_flight.front() else { return Err(CallError::NothingInFlight) };
-        let Some(raw) = port.receive(&oldest.pending, patience)? else { return Ok(None) };
+        let raw = match port.receive(&oldest.pending, patience) {
+            Ok(Some(raw)) => raw,
+            Ok(None) => return Ok(None),
+            // It is still to be had, once others were dropped.
+            Err(CallError::TooManyHeld) => return Err(CallError::TooManyHeld),
+            Err(error) => {
+                self.in_flight.clear();
+                self.ended = true;
+                return Err(error);
+            }
+        };
         let InFlight { pending, env_ids, .. } =
             self.in_flight.pop_front().expect("the oldest is there");
         drop(pending);
@@ -180,7 +193,22 @@ impl Session {
             env_ids,
             info: Arc::clone(&self.info),
             layout: Arc::clone(&self.reply_layout),
+            _link: Arc::clone(port.link()),
         }))
+    }
+
+    /// Sends any header and payload as a request of this session and waits for the reply, for
+    /// tests of the server's defences.
+    #[doc(hidden)]
+    pub fn call_raw(
+        &mut self,
+        header: Header,
+        fill: impl FnOnce(&mut [u8]),
+    ) -> Result<Reply, CallError> {
+        let pending = Owned::new(self.port.get()?.send(header, fill)?);
+        let env_ids = EnvIds::All(header.rows.min(self.info.envs));
+        self.in_flight.push_back(InFlight { pending, env_ids, abandoned: false });
+        self.recv()
     }
 
     /// Number of requests in flight whose replies were not given up on.
@@ -215,8 +243,12 @@ impl Session {
         env_ids: EnvIds,
         fill: impl FnOnce(&mut [u8], usize),
     ) -> Result<(), CallError> {
-        self.port.get()?;
         while !self.settle(SLICE)? {}
+        let port = self.port.get()?;
+        // Where nobody takes requests any more, sending them would come to wait for ever.
+        if self.ended {
+            return Err(port.why_unanswered());
+        }
         if self.in_flight.len() == MAX_IN_FLIGHT {
             return Err(CallError::TooManyInFlight);
         }
@@ -231,7 +263,7 @@ impl Session {
             ..Header::new(kind)
         };
         let region = self.request_layout.env_ids;
-        let pending = self.port.send(header, |payload| {
+        let pending = port.send(header, |payload| {
             let ids = region.view_mut::<u32>(payload, rows);
             match &env_ids {
                 EnvIds::All(count) => ids.iter_mut().zip(0..*count).for_each(|(id, i)| *id = i),
@@ -267,6 +299,7 @@ impl Drop for Session {
             let (session, node) = (self.info.session, port.link().node_id());
             // Where the server is gone, so is the session.
             port.link().call(&ControlRequest::CloseSession { session, node }).ok();
+            port.wake().ok();
         }
     }
 }
@@ -287,6 +320,8 @@ pub struct Reply {
     env_ids: EnvIds,
     info: Arc<SessionInfo>,
     layout: Arc<ReplyLayout>,
+    /// Dropped last: as long as shared memory is used, nobody may remove it.
+    _link: Arc<Owned<Link>>,
 }
 
 impl Reply {

@@ -5,7 +5,7 @@
 
 use std::mem::ManuallyDrop;
 use std::ops::Deref;
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 use iceoryx2::pending_response::PendingResponse;
@@ -85,7 +85,8 @@ pub(crate) fn transport<E: std::fmt::Debug>(what: &'static str) -> impl FnOnce(E
 #[derive(Debug)]
 pub(crate) struct Link {
     // Declaration order is drop order: ports before the node, the node before the membership.
-    control: Port,
+    /// Threads that share a client take turns: one control request at a time is in flight.
+    control: Mutex<Port>,
     bell: Notifier<Transport>,
     node: Node,
     membership: Membership,
@@ -96,7 +97,7 @@ impl Link {
     /// Opens the control port of the run `epoch` of the server.
     pub(crate) fn open(membership: Membership, epoch: u64) -> Result<Self, CallError> {
         let node = membership.node().map_err(transport("node"))?;
-        let name = service_name(endpoint::CONTROL_SERVICE);
+        let name = service_name(&endpoint::control_service(epoch));
         let service = node
             .service_builder(&name)
             .request_response::<[u8], [u8]>()
@@ -112,7 +113,7 @@ impl Link {
         let event =
             node.service_builder(&name).event().open().map_err(transport("control bell"))?;
         let bell = event.notifier_builder().create().map_err(transport("control bell port"))?;
-        Ok(Self { control, bell, node, membership, epoch })
+        Ok(Self { control: Mutex::new(control), bell, node, membership, epoch })
     }
 
     /// The number that names this participant to the server.
@@ -145,8 +146,11 @@ impl Link {
 
     /// Sends any header and bytes as a control request; the tests send broken ones.
     pub(crate) fn call_raw(&self, header: Header, bytes: &[u8]) -> Result<ControlReply, CallError> {
+        // A server that is gone takes no requests, and sending them would come to wait for ever.
+        self.check_server()?;
+        let control = self.control.lock().unwrap_or_else(PoisonError::into_inner);
         let mut request =
-            self.control.loan_slice(bytes.len().max(1)).map_err(transport("control request"))?;
+            control.loan_slice(bytes.len().max(1)).map_err(transport("control request"))?;
         request.payload_mut()[..bytes.len()].copy_from_slice(bytes);
         *request.user_header_mut() = header;
         let pending = request.send().map_err(transport("control request"))?;
@@ -158,9 +162,15 @@ impl Link {
         let start = Instant::now();
         let mut checked = start;
         loop {
+            // Asked before the reply is looked for: a server answers, and then lets go.
+            let held = pending.is_connected();
             if let Some(reply) = pending.receive().map_err(transport("control reply"))? {
                 let length = (reply.user_header().length as usize).min(reply.payload().len());
                 return Ok(control::decode(&reply.payload()[..length])?);
+            }
+            if !held {
+                self.check_server()?;
+                return Err(CallError::Transport("the server did not answer; see its log".into()));
             }
             if checked.elapsed() > SLICE {
                 self.check_server()?;
@@ -248,9 +258,12 @@ impl DataPort {
     ) -> Result<Option<RawReply>, CallError> {
         let deadline = Instant::now() + patience;
         loop {
+            // Asked before the reply is looked for: a server answers, and then lets go.
+            let held = pending.number_of_server_connections() > 0 && pending.is_connected();
             match pending.receive() {
                 Ok(Some(reply)) => return Ok(Some(reply)),
-                Ok(None) => {}
+                Ok(None) if held => {}
+                Ok(None) => return Err(self.why_unanswered()),
                 Err(ReceiveError::ExceedsMaxBorrows) => return Err(CallError::TooManyHeld),
                 Err(error) => return Err(transport("reply")(error)),
             }
@@ -259,7 +272,7 @@ impl DataPort {
                 return Ok(None);
             }
             match self.reply_bell.timed_wait(|_| {}, left.min(SLICE)) {
-                Ok(0) => self.check_session(pending)?,
+                Ok(0) => self.link.check_server()?,
                 Ok(_) => {}
                 // The caller may want to act on the signal.
                 Err(ListenerWaitError::InterruptSignal) => return Ok(None),
@@ -268,23 +281,27 @@ impl DataPort {
         }
     }
 
-    pub(crate) fn link(&self) -> &Link {
+    /// Wakes the session, so that it sees at once that it was closed.
+    pub(crate) fn wake(&self) -> Result<(), CallError> {
+        ring(&self.bell)
+    }
+
+    pub(crate) fn link(&self) -> &Arc<Owned<Link>> {
         &self.link
     }
 
-    /// An error if the server is gone, or has closed the session.
-    fn check_session(&self, pending: &RawPending) -> Result<(), CallError> {
-        self.link.check_server()?;
-        if pending.number_of_server_connections() > 0 && pending.is_connected() {
-            return Ok(());
-        }
-        Err(Rejection::new(
-            Code::UnknownSession,
-            "session",
-            self.session,
-            "the server has closed it (serve --idle-limit); open another",
-        )
-        .into())
+    /// What to say where the server let go of a request that it did not answer.
+    pub(crate) fn why_unanswered(&self) -> CallError {
+        let closed = || {
+            Rejection::new(
+                Code::UnknownSession,
+                "session",
+                self.session,
+                "the server has closed it (idle for longer than serve --idle-limit, or a fault in \
+                 its log); open another",
+            )
+        };
+        self.link.check_server().err().unwrap_or_else(|| closed().into())
     }
 }
 

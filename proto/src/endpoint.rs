@@ -174,16 +174,42 @@ impl Endpoint {
         let Ok(file) = File::open(self.server_lock()) else { return ServerState::Absent };
         let locked = flock(&file, FlockOperation::NonBlockingLockShared).is_err();
         match (locked, read_words(&file)) {
+            (_, [_, epoch, CLOSED]) => ServerState::Closed { epoch },
             (true, [pid, epoch, _]) => ServerState::Running { pid: pid as u32, epoch },
-            (false, [_, epoch, CLOSED]) => ServerState::Closed { epoch },
             (false, _) => ServerState::Absent,
         }
+    }
+
+    /// Everything that exists under this name: the folder and pieces of shared memory.
+    pub fn remains(&self) -> io::Result<Vec<PathBuf>> {
+        let mut paths = self.segments()?;
+        paths.extend(self.folder.exists().then(|| self.folder.clone()));
+        Ok(paths)
     }
 
     /// Free shared memory, bytes.
     pub fn free_memory() -> io::Result<u64> {
         let status = rustix::fs::statvfs(SHARED_MEMORY)?;
         Ok(status.f_bavail.saturating_mul(status.f_frsize))
+    }
+
+    /// Shared memory that the server and its clients really take, bytes: pages count once they
+    /// were written to.
+    pub fn committed_memory(&self) -> io::Result<u64> {
+        let blocks = |path: PathBuf| fs::metadata(path).map_or(0, |metadata| metadata.blocks());
+        Ok(self.segments()?.into_iter().map(blocks).sum::<u64>() * 512)
+    }
+
+    /// The pieces of shared memory of the server and its clients.
+    fn segments(&self) -> io::Result<Vec<PathBuf>> {
+        let mut paths = Vec::new();
+        for entry in fs::read_dir(SHARED_MEMORY)? {
+            let entry = entry?;
+            if entry.file_name().to_str().is_some_and(|name| name.starts_with(&self.prefix)) {
+                paths.push(entry.path());
+            }
+        }
+        Ok(paths)
     }
 
     fn server_lock(&self) -> PathBuf {
@@ -201,11 +227,8 @@ impl Endpoint {
     }
 
     fn remove_contents(&self) -> io::Result<()> {
-        for entry in fs::read_dir(SHARED_MEMORY)? {
-            let entry = entry?;
-            if entry.file_name().to_str().is_some_and(|name| name.starts_with(&self.prefix)) {
-                fs::remove_file(entry.path())?;
-            }
+        for path in self.segments()? {
+            fs::remove_file(path)?;
         }
         for entry in fs::read_dir(&self.folder)? {
             let path = entry?.path();
@@ -316,7 +339,7 @@ pub enum ServerState {
         /// Which run of the server it is.
         epoch: u64,
     },
-    /// The last server ended in order.
+    /// The last server ended in order, or is about to.
     Closed {
         /// Which run of the server it was.
         epoch: u64,
@@ -332,12 +355,18 @@ pub struct ServerLock {
     epoch: u64,
 }
 
-/// Third word of the lock file after an orderly end.
+/// Third word of the lock file from the beginning of an orderly end.
 const CLOSED: u64 = 1;
 
 impl ServerLock {
-    /// Gives the lock back and leaves word that the server ended in order.
-    pub fn close(self) -> io::Result<()> {
+    /// The run of the server that holds the lock.
+    pub fn epoch(&self) -> u64 {
+        self.epoch
+    }
+
+    /// Leaves word that the server ends in order, before its clients notice that it does. The
+    /// lock is held on until this is dropped.
+    pub fn announce_end(&self) -> io::Result<()> {
         self.write(CLOSED)
     }
 
@@ -358,8 +387,11 @@ fn read_words(file: &File) -> [u64; 3] {
     }
 }
 
-/// Name of the control service and of the event service that announces control messages.
-pub const CONTROL_SERVICE: &str = "control";
+/// Name of the control service and of the event service that announces control messages. Every
+/// run of the server has its own: clients of a run that died may hold on to theirs.
+pub fn control_service(epoch: u64) -> String {
+    format!("control/{epoch:016x}")
+}
 
 /// Name of a session's data service.
 pub fn data_service(epoch: u64, session: u64) -> String {
@@ -404,8 +436,9 @@ mod tests {
         drop(first);
         assert!(endpoint.folder().exists() && stray.exists());
         assert!(!endpoint.remove_if_unused().unwrap());
+        assert_eq!(endpoint.remains().unwrap(), [stray.as_path(), endpoint.folder()]);
         drop(second);
-        assert!(!endpoint.folder().exists() && !stray.exists());
+        assert!(endpoint.remains().unwrap().is_empty());
     }
 
     #[test]
@@ -419,7 +452,11 @@ mod tests {
         assert_eq!(membership.become_server(8).unwrap().unwrap_err(), pid);
         drop(lock);
         assert_eq!(endpoint.server_state(), ServerState::Absent);
-        membership.become_server(8).unwrap().unwrap().close().unwrap();
+        let lock = membership.become_server(8).unwrap().unwrap();
+        lock.announce_end().unwrap();
+        assert_eq!(endpoint.server_state(), ServerState::Closed { epoch: 8 });
+        assert_eq!(membership.become_server(9).unwrap().unwrap_err(), pid);
+        drop(lock);
         assert_eq!(endpoint.server_state(), ServerState::Closed { epoch: 8 });
     }
 

@@ -42,6 +42,13 @@ impl Model {
         &TRAY
     }
 
+    /// The table; its origin is on the floor below its middle.
+    pub fn table() -> &'static Self {
+        static TABLE: LazyLock<Model> =
+            LazyLock::new(|| Model::read(include_str!("../../assets/table/model.urdf")));
+        &TABLE
+    }
+
     /// The frame `name`, fixed to the body.
     ///
     /// # Panics

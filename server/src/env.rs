@@ -290,6 +290,7 @@ impl Env {
 }
 
 #[cfg(test)]
+#[expect(clippy::float_cmp, reason = "these results are exact")]
 mod tests {
     use trocar_proto::Options;
     use trocar_proto::spec::{Element, OptionSpec};

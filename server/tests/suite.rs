@@ -1,5 +1,7 @@
 //! Every registered task, in-process, under every option that changes what it does.
 
+#![expect(clippy::unwrap_used, reason = "a panic is a test's report, in its helpers too")]
+
 use std::collections::BTreeMap;
 
 use trocar_proto::spec::{Element, OptionValue};
@@ -54,8 +56,11 @@ impl Actions {
     }
 }
 
-fn table(rows: &[(&str, &[f64])]) -> OptionValue {
-    let row = |(name, numbers): &(&str, &[f64])| ((*name).to_string(), numbers.to_vec());
+/// A row of a table by name.
+type Row<'a> = (&'a str, &'a [f64]);
+
+fn table(rows: &[Row]) -> OptionValue {
+    let row = |(name, numbers): &Row| ((*name).to_string(), numbers.to_vec());
     OptionValue::Table(rows.iter().map(row).collect::<BTreeMap<_, _>>())
 }
 
@@ -427,7 +432,7 @@ fn randomised_domains_are_drawn_by_episode() {
 
 #[test]
 fn a_moved_arm_shows_and_does_the_same() {
-    let setups: [(&str, &[(&str, &[f64])]); 3] = [
+    let setups: [(&str, &[Row]); 3] = [
         ("NeedleReach-v0", &[("table_height", &[0.67])]),
         ("NeedleReach-v0", &[("base", &[0.06, 0.25, 0.845, -1.9]), ("table_height", &[0.672])]),
         ("EcmReach-v0", &[("base", &[-0.04, 0.01, 1.01, 0.5])]),

@@ -1,40 +1,35 @@
 //! The control loop: rare messages, opening and closing sessions.
 
 use std::collections::BTreeMap;
+use std::collections::btree_map::Entry;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use iceoryx2::active_request::ActiveRequest;
-use iceoryx2::port::listener::{Listener, ListenerWaitError};
-use iceoryx2::port::server::Server as ServerPort;
-use iceoryx2::prelude::ServiceName;
-use trocar_proto::control::{self, ControlReply, MAX_MESSAGE, ServerStatus};
-use trocar_proto::endpoint::{CONTROL_SERVICE, MAX_CLIENTS, Node, Transport};
+use iceoryx2::port::listener::ListenerWaitError;
+use trocar_proto::control::{ControlReply, ServerStatus};
+use trocar_proto::endpoint::{MAX_CLIENTS, Node, ServerLock};
 use trocar_proto::wire::Header;
 use trocar_proto::{Code, Rejection};
 
-use super::desk::{Answer, Desk};
+use super::desk::{Answer, Desk, Footprint};
 use super::lease::{self, Census, PrivateWatch};
+use super::ports::{self, ControlPorts, Request};
 use super::scheduler::Scheduler;
 use super::session::{self, SessionHandle};
-use super::{ServeError, ServerConfig, StopSignal, transport};
+use super::{ServeError, ServerConfig, StopSignal};
 use crate::tasks::Registry;
-
-/// A control request that waits for its reply.
-pub(super) type RawRequest = ActiveRequest<Transport, [u8], Header, [u8], Header>;
-
-type Port = ServerPort<Transport, [u8], Header, [u8], Header>;
 
 /// Serves until asked to stop.
 pub(super) fn run(
     registry: Arc<Registry>,
     config: &ServerConfig,
-    epoch: u64,
+    lock: &ServerLock,
     node: &Arc<Node>,
     stop: &StopSignal,
     ready: impl FnOnce(),
 ) -> Result<(), ServeError> {
-    let (port, bell) = open_ports(node)?;
+    let epoch = lock.epoch();
+    let ControlPorts { port, bell } = ControlPorts::open(node, epoch)?;
     let scheduler =
         Scheduler::new(config.threads).map_err(|error| ServeError::Threads(error.to_string()))?;
     let mut host = Host {
@@ -47,6 +42,7 @@ pub(super) fn run(
             idle_limit: config.idle_limit,
         }),
         sessions: BTreeMap::new(),
+        ending: Vec::new(),
         opened: 0,
         started: Instant::now(),
         stop: stop.clone(),
@@ -57,7 +53,7 @@ pub(super) fn run(
     tracing::info!(name = %config.name, pid = std::process::id(), threads = config.threads, "serving");
     while !stop.is_set() {
         // Every client that waits is answered once before anybody is answered twice.
-        let waiting: Vec<RawRequest> =
+        let waiting: Vec<Request> =
             std::iter::from_fn(|| port.receive().ok().flatten()).take(MAX_CLIENTS).collect();
         for request in waiting {
             host.answer(request);
@@ -76,47 +72,11 @@ pub(super) fn run(
         }
     }
     tracing::info!(sessions = host.sessions.len(), "shutting down");
+    if let Err(error) = lock.announce_end() {
+        tracing::warn!(%error, "clients will take this for a crash");
+    }
     host.shut_down();
     Ok(())
-}
-
-fn open_ports(node: &Node) -> Result<(Port, Listener<Transport>), ServeError> {
-    let name: ServiceName =
-        CONTROL_SERVICE.try_into().expect("the name of the control service is short");
-    let service = node
-        .service_builder(&name)
-        .request_response::<[u8], [u8]>()
-        .request_user_header::<Header>()
-        .response_user_header::<Header>()
-        .max_servers(1)
-        .max_clients(MAX_CLIENTS)
-        .max_nodes(MAX_CLIENTS + 1)
-        .max_active_requests_per_client(1)
-        .max_loaned_requests(1)
-        .max_response_buffer_size(1)
-        .max_borrowed_responses_per_pending_response(1)
-        .enable_safe_overflow_for_requests(false)
-        .enable_safe_overflow_for_responses(false)
-        .enable_fire_and_forget_requests(false)
-        .create()
-        .map_err(transport("control service"))?;
-    let event = node
-        .service_builder(&name)
-        .event()
-        .max_listeners(1)
-        .max_notifiers(MAX_CLIENTS)
-        .max_nodes(MAX_CLIENTS + 1)
-        .create()
-        .map_err(transport("control bell"))?;
-    // The listener first: whoever can open the control service can ring.
-    let bell = event.listener_builder().create().map_err(transport("control bell port"))?;
-    let port = service
-        .server_builder()
-        .initial_max_slice_len(MAX_MESSAGE)
-        .max_loaned_responses_per_request(1)
-        .create()
-        .map_err(transport("control port"))?;
-    Ok((port, bell))
 }
 
 /// The sessions, and what is needed to open more.
@@ -124,24 +84,25 @@ struct Host {
     desk: Desk,
     ground: Arc<session::Ground>,
     sessions: BTreeMap<u64, SessionHandle>,
+    /// Sessions that were closed and whose threads have not ended yet, or not been joined.
+    ending: Vec<SessionHandle>,
     opened: u64,
     started: Instant,
     stop: StopSignal,
 }
 
 impl Host {
-    fn answer(&mut self, request: RawRequest) {
-        let (used, count) = (self.used_bytes(), self.sessions.len());
+    fn answer(&mut self, request: Request) {
         // The client could still write to what it sent: judge a copy.
         let header = *request.user_header();
         let payload = request.payload().to_vec();
-        let result = match self.desk.judge(&header, &payload, used, count) {
+        let result = match self.judge(&header, &payload) {
             Answer::Reply(reply) => reply,
-            Answer::Open { request: wanted, client, bytes } => {
+            Answer::Open { request: wanted, client, footprint } => {
                 self.opened += 1;
                 let id = self.opened;
                 let handle =
-                    session::open(Arc::clone(&self.ground), id, wanted, client, bytes, request);
+                    session::open(Arc::clone(&self.ground), id, wanted, client, footprint, request);
                 if let Some(handle) = handle {
                     self.sessions.insert(id, handle);
                 }
@@ -155,15 +116,30 @@ impl Host {
                 ControlReply::Done
             }
         };
-        reply(&request, &result);
+        ports::reply(&request, &result);
+    }
+
+    fn judge(&mut self, header: &Header, payload: &[u8]) -> Answer {
+        let answer = self.desk.judge(header, payload, self.used(), self.count());
+        match &answer {
+            // Sessions that are ending hold on to what they had for up to a tenth of a second.
+            Answer::Reply(ControlReply::Refused(refusal))
+                if matches!(refusal.code, Code::MemoryBudget | Code::TooManySessions)
+                    && !self.ending.is_empty() =>
+            {
+                self.ending.drain(..).for_each(SessionHandle::join);
+                self.desk.judge(header, payload, self.used(), self.count())
+            }
+            _ => answer,
+        }
     }
 
     fn close(&mut self, session: u64, node: u128) -> ControlReply {
-        match self.sessions.get(&session) {
-            Some(handle) if handle.client().node == node => {
-                // Its thread ends within a tenth of a second; the memory counts no longer.
+        match self.sessions.entry(session) {
+            Entry::Occupied(entry) if entry.get().client().node == node => {
+                let handle = entry.remove();
                 handle.stop();
-                self.sessions.remove(&session);
+                self.ending.push(handle);
                 ControlReply::Done
             }
             _ => ControlReply::Refused(Rejection::new(
@@ -178,14 +154,16 @@ impl Host {
     /// Closes the sessions of dead clients and removes what they left.
     fn sweep(&mut self, watch: Option<&mut PrivateWatch>) {
         let Some(census) = Census::take(&self.ground.node) else { return };
-        self.sessions.retain(|id, handle| {
+        let over = self.sessions.extract_if(.., |id, handle| {
             let alive = census.has(handle.client().node);
             if !alive {
                 tracing::info!(session = id, pid = handle.client().pid, "client is gone");
                 handle.stop();
             }
-            alive && !handle.has_ended()
+            !alive || handle.has_ended()
         });
+        self.ending.extend(over.map(|(_, handle)| handle));
+        self.ending.extract_if(.., |handle| handle.has_ended()).for_each(SessionHandle::join);
         if census.deaths {
             self.ground.node.try_cleanup_dead_nodes();
         }
@@ -199,13 +177,16 @@ impl Host {
         for handle in self.sessions.values() {
             handle.stop();
         }
-        for handle in self.sessions.into_values() {
-            handle.join();
-        }
+        // Whatever they still create in shared memory must be there before it is removed.
+        self.sessions.into_values().chain(self.ending).for_each(SessionHandle::join);
     }
 
-    fn used_bytes(&self) -> u64 {
-        self.sessions.values().map(SessionHandle::bytes).sum()
+    fn used(&self) -> Footprint {
+        self.sessions.values().chain(&self.ending).map(SessionHandle::footprint).sum()
+    }
+
+    fn count(&self) -> usize {
+        self.sessions.len() + self.ending.len()
     }
 
     fn status(&self) -> ServerStatus {
@@ -216,27 +197,7 @@ impl Host {
             epoch: info.epoch,
             uptime_s: self.started.elapsed().as_secs_f64(),
             sessions: self.sessions.values().map(SessionHandle::status).collect(),
-            memory_bytes: self.used_bytes(),
+            memory_bytes: self.used().total(),
         }
-    }
-}
-
-/// Sends a control reply. A client that is gone by now gets none.
-pub(super) fn reply(request: &RawRequest, reply: &ControlReply) {
-    let mut bytes = vec![0; MAX_MESSAGE];
-    let encoded = control::encode(reply, &mut bytes)
-        .or_else(|refusal| control::encode(&ControlReply::Refused(refusal), &mut bytes));
-    let Ok(length) = encoded else { return };
-    let sent = request.loan_slice(length).map_err(|error| format!("{error:?}")).and_then(
-        |mut response| {
-            response.payload_mut().copy_from_slice(&bytes[..length]);
-            let asked = request.user_header();
-            *response.user_header_mut() =
-                Header { length: length as u32, request: asked.request, ..Header::new(asked.kind) };
-            response.send().map_err(|error| format!("{error:?}"))
-        },
-    );
-    if let Err(error) = sent {
-        tracing::debug!(error, "a control reply was not delivered");
     }
 }

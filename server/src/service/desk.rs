@@ -21,14 +21,14 @@ use crate::tasks::Registry;
 pub enum Answer {
     /// Send this.
     Reply(ControlReply),
-    /// Open this session, which was checked and is counted with `bytes` of memory.
+    /// Open this session, which was checked and is counted with its footprint.
     Open {
         /// What is wanted.
         request: SessionRequest,
         /// Who asked.
         client: ClientInfo,
         /// Memory it may take.
-        bytes: u64,
+        footprint: Footprint,
     },
     /// Close this session if it belongs to this client's node.
     Close {
@@ -43,11 +43,37 @@ pub enum Answer {
     Shutdown,
 }
 
+/// Memory that sessions are counted with, bytes.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct Footprint {
+    /// In `/dev/shm`.
+    pub shared: u64,
+    /// In the server.
+    pub private: u64,
+}
+
+impl Footprint {
+    /// Both together.
+    pub fn total(&self) -> u64 {
+        self.shared + self.private
+    }
+}
+
+impl std::iter::Sum for Footprint {
+    fn sum<I: Iterator<Item = Self>>(footprints: I) -> Self {
+        footprints.fold(Self::default(), |sum, one| Self {
+            shared: sum.shared + one.shared,
+            private: sum.private + one.private,
+        })
+    }
+}
+
 /// Judges control messages.
 #[derive(Clone)]
 pub struct Desk {
     registry: Arc<Registry>,
     info: ServerInfo,
+    endpoint: Endpoint,
     budget: u64,
 }
 
@@ -61,7 +87,8 @@ impl Desk {
             version: env!("CARGO_PKG_VERSION").into(),
             max_envs: config.max_envs,
         };
-        Self { registry, info, budget: config.memory_bytes }
+        let endpoint = Endpoint::new(&config.name);
+        Self { registry, info, endpoint, budget: config.memory_bytes }
     }
 
     /// The server, as it introduces itself.
@@ -69,9 +96,15 @@ impl Desk {
         &self.info
     }
 
-    /// What to do about a message. `used` is the memory that open sessions take, `sessions` their
-    /// number.
-    pub fn judge(&self, header: &Header, payload: &[u8], used: u64, sessions: usize) -> Answer {
+    /// What to do about a message. `used` is the memory that open sessions are counted with,
+    /// `sessions` their number.
+    pub fn judge(
+        &self,
+        header: &Header,
+        payload: &[u8],
+        used: Footprint,
+        sessions: usize,
+    ) -> Answer {
         match self.try_judge(header, payload, used, sessions) {
             Ok(answer) => answer,
             Err(refusal) => Answer::Reply(ControlReply::Refused(refusal)),
@@ -82,7 +115,7 @@ impl Desk {
         &self,
         header: &Header,
         payload: &[u8],
-        used: u64,
+        used: Footprint,
         sessions: usize,
     ) -> Result<Answer, Rejection> {
         check_header(header)?;
@@ -113,8 +146,8 @@ impl Desk {
                 Answer::Reply(ControlReply::Task(self.registry.spec(&task, &options)?))
             }
             ControlRequest::OpenSession { request, client } => {
-                let bytes = self.check_session(&request, used, sessions)?;
-                Answer::Open { request, client, bytes }
+                let footprint = self.check_session(&request, used, sessions)?;
+                Answer::Open { request, client, footprint }
             }
             ControlRequest::CloseSession { session, node } => Answer::Close { session, node },
             ControlRequest::Status => Answer::Status,
@@ -122,13 +155,13 @@ impl Desk {
         })
     }
 
-    /// Whether a session may be opened, and how much memory it is counted with.
+    /// Whether a session may be opened, and what it is counted with.
     fn check_session(
         &self,
         request: &SessionRequest,
-        used: u64,
+        used: Footprint,
         sessions: usize,
-    ) -> Result<u64, Rejection> {
+    ) -> Result<Footprint, Rejection> {
         let spec = self.registry.spec(&request.task, &request.options)?;
         if !(1..=self.info.max_envs).contains(&request.envs) {
             return Err(Rejection::new(
@@ -146,9 +179,11 @@ impl Desk {
                 format!("allowed are {MAX_SESSIONS} at a time"),
             ));
         }
-        let shared = shared_bytes(request.envs as usize, &spec);
-        let bytes = shared + u64::from(request.envs) * Env::MEMORY_BYTES;
-        if used + bytes > self.budget {
+        let footprint = Footprint {
+            shared: shared_bytes(request.envs as usize, &spec),
+            private: u64::from(request.envs) * Env::MEMORY_BYTES,
+        };
+        if used.total() + footprint.total() > self.budget {
             return Err(Rejection::new(
                 Code::MemoryBudget,
                 "envs",
@@ -157,15 +192,15 @@ impl Desk {
                     "{} of task {} need {}, and {} of {} are taken (serve --memory)",
                     request.envs,
                     spec.id,
-                    mebibytes(bytes),
-                    mebibytes(used),
+                    mebibytes(footprint.total()),
+                    mebibytes(used.total()),
                     mebibytes(self.budget)
                 ),
             ));
         }
-        let free = Endpoint::free_memory().unwrap_or(u64::MAX);
+        let free = self.free_memory(used);
         // A full /dev/shm kills whoever writes to it, so some must always stay free.
-        if shared + RESERVE > free {
+        if footprint.shared + RESERVE > free {
             return Err(Rejection::new(
                 Code::MemoryBudget,
                 "envs",
@@ -173,12 +208,20 @@ impl Desk {
                 format!(
                     "the session needs {} of shared memory, and {} of /dev/shm are free; give \
                      the container more (docker run --shm-size)",
-                    mebibytes(shared),
+                    mebibytes(footprint.shared),
                     mebibytes(free)
                 ),
             ));
         }
-        Ok(bytes)
+        Ok(footprint)
+    }
+
+    /// Shared memory that is promised to nobody, bytes. Most of what open sessions were promised
+    /// looks free until they write to it.
+    fn free_memory(&self, used: Footprint) -> u64 {
+        let free = Endpoint::free_memory().unwrap_or(u64::MAX);
+        let written = self.endpoint.committed_memory().unwrap_or(0).min(used.shared);
+        free.saturating_sub(used.shared - written)
     }
 }
 

@@ -8,6 +8,7 @@
 //! | `lease.rs` | who is alive: reclaims what dead clients leave |
 //! | `session.rs` | one thread per session: waits for requests, answers them |
 //! | `batch.rs` | the environments of a session: reset, step, autoreset |
+//! | `ports.rs` | the ends of the transport: how services are made, what a reply is |
 //! | `rows.rs` | the arrays of a reply, row by row |
 //! | `scheduler.rs` | turns: which session's environments run on which threads |
 //!
@@ -18,6 +19,7 @@ mod batch;
 mod control;
 mod desk;
 mod lease;
+mod ports;
 mod rows;
 mod scheduler;
 mod session;
@@ -25,13 +27,17 @@ mod session;
 use std::io;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
-use trocar_proto::endpoint::{Endpoint, ServerName};
+use trocar_proto::endpoint::{Endpoint, Membership, ServerLock, ServerName, ServerState};
+use trocar_proto::{Code, Rejection};
 
 use crate::tasks::Registry;
 
-pub use desk::{Answer, Desk};
+pub use desk::{Answer, Desk, Footprint};
+
+/// How long a server that is ending may take before its name is said to be in use.
+const ENDING: Duration = Duration::from_secs(10);
 
 /// How a server is set up. [`Self::new`] gives the defaults.
 #[derive(Debug, Clone)]
@@ -102,9 +108,9 @@ pub enum ServeError {
         /// The other server's process id, in its own process namespace.
         pid: u32,
     },
-    /// The configuration asks for something impossible.
+    /// The configuration asks for something impossible, or shared memory failed.
     #[error(transparent)]
-    Config(#[from] trocar_proto::Rejection),
+    Refused(#[from] Rejection),
     /// The folder or the lock file failed.
     #[error("{path}: {source}")]
     Folder {
@@ -116,9 +122,6 @@ pub enum ServeError {
     /// Threads could not be started.
     #[error("threads: {0}")]
     Threads(String),
-    /// Shared memory or its bookkeeping failed.
-    #[error("shared memory: {0}")]
-    Transport(String),
 }
 
 /// Serves the tasks of `registry` until `stop` is set, a client asks for it, or the private rule
@@ -136,20 +139,31 @@ pub fn serve(
         |source| ServeError::Folder { path: endpoint.folder().display().to_string(), source };
     let epoch = new_epoch();
     let membership = endpoint.join().map_err(folder)?;
-    let lock = membership
-        .become_server(epoch)
-        .map_err(folder)?
-        .map_err(|pid| ServeError::NameInUse { name: config.name.to_string(), pid })?;
-    let node = Arc::new(membership.node().map_err(transport("node"))?);
+    let lock = take_lock(&membership, epoch).map_err(folder)?;
+    let lock = lock.map_err(|pid| ServeError::NameInUse { name: config.name.to_string(), pid })?;
+    let node = Arc::new(membership.node().map_err(internal("node"))?);
     // A predecessor may have died while its clients live: what it left goes first.
     node.try_cleanup_dead_nodes();
-    let served = control::run(Arc::new(registry), config, epoch, &node, stop, ready);
+    let served = control::run(Arc::new(registry), config, &lock, &node, stop, ready);
     node.try_cleanup_dead_nodes();
     drop(node);
-    lock.close().map_err(folder)?;
+    drop(lock);
     // The last one out removes the folder: this server, or a client that is still there.
     drop(membership);
     served
+}
+
+/// Takes the single-instance lock; waits for a predecessor that is just ending.
+fn take_lock(membership: &Membership, epoch: u64) -> io::Result<Result<ServerLock, u32>> {
+    let start = Instant::now();
+    loop {
+        let taken = membership.become_server(epoch)?;
+        let ending = matches!(membership.endpoint().server_state(), ServerState::Closed { .. });
+        if taken.is_ok() || !ending || start.elapsed() > ENDING {
+            return Ok(taken);
+        }
+        std::thread::sleep(Duration::from_millis(5));
+    }
 }
 
 /// A number that tells this run of the server from every other: nanoseconds since 1970.
@@ -167,6 +181,7 @@ fn raise_file_limit() {
     }
 }
 
-fn transport<E: std::fmt::Debug>(what: &'static str) -> impl FnOnce(E) -> ServeError {
-    move |error| ServeError::Transport(format!("{what}: {error:?}"))
+/// Names an operation of the transport that failed.
+fn internal<E: std::fmt::Debug>(what: &'static str) -> impl FnOnce(E) -> Rejection {
+    move |error| Rejection::new(Code::Internal, what, format!("{error:?}"), "see the server's log")
 }

@@ -58,7 +58,8 @@ impl Scheduler {
     pub(crate) fn run<W: Divisible>(&self, work: W, cost: &mut Duration) {
         let mut rest = work;
         while rest.len() > 0 {
-            let threads = self.acquire(rest.len());
+            let turn = self.acquire(rest.len());
+            let threads = turn.threads;
             let slice = (TURN.as_nanos() / cost.as_nanos().max(1)).max(1) as usize;
             let count = slice.saturating_mul(threads).min(rest.len());
             let (now, later) = rest.split_at(count);
@@ -71,7 +72,6 @@ impl Scheduler {
             }
             let measured = start.elapsed() * threads as u32 / count as u32;
             *cost = (*cost + measured) / 2;
-            self.release(threads);
         }
     }
 
@@ -81,7 +81,7 @@ impl Scheduler {
     }
 
     /// Waits for a thread, then takes up to `most` that are idle.
-    fn acquire(&self, most: usize) -> usize {
+    fn acquire(&self, most: usize) -> Turn<'_> {
         let mut turns = self.lock();
         if turns.free == 0 || !turns.waiting.is_empty() {
             let waiter =
@@ -91,11 +91,11 @@ impl Scheduler {
             while !waiter.called.load(Ordering::Acquire) {
                 std::thread::park();
             }
-            return 1;
+            return Turn { scheduler: self, threads: 1 };
         }
-        let taken = turns.free.min(most);
-        turns.free -= taken;
-        taken
+        let threads = turns.free.min(most);
+        turns.free -= threads;
+        Turn { scheduler: self, threads }
     }
 
     fn release(&self, count: usize) {
@@ -113,6 +113,18 @@ impl Scheduler {
     fn lock(&self) -> MutexGuard<'_, Turns> {
         // The guarded numbers are consistent after every statement, panic or not.
         self.turns.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+/// Threads that are taken. They are given back when this is dropped, also by a panic.
+struct Turn<'a> {
+    scheduler: &'a Scheduler,
+    threads: usize,
+}
+
+impl Drop for Turn<'_> {
+    fn drop(&mut self) {
+        self.scheduler.release(self.threads);
     }
 }
 
@@ -158,6 +170,32 @@ mod tests {
                 std::thread::yield_now();
             }
             self.running.fetch_sub(1, Ordering::SeqCst);
+        }
+    }
+
+    struct Panic(usize);
+
+    impl Divisible for Panic {
+        fn len(&self) -> usize {
+            self.0
+        }
+
+        fn split_at(self, at: usize) -> (Self, Self) {
+            (Self(at), Self(self.0 - at))
+        }
+
+        fn run(self) {
+            panic!("work that fails");
+        }
+    }
+
+    #[test]
+    fn work_that_panics_gives_its_threads_back() {
+        let scheduler = Scheduler::new(2).unwrap();
+        for pieces in [1, 8] {
+            let work = || scheduler.run(Panic(pieces), &mut Duration::from_micros(100));
+            assert!(std::panic::catch_unwind(std::panic::AssertUnwindSafe(work)).is_err());
+            assert_eq!(scheduler.lock().free, 2);
         }
     }
 

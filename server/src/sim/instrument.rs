@@ -3,8 +3,8 @@
 //! Within an environment step the wrist follows a smoothstep profile, so its velocity is
 //! continuous and zero at both ends. Two rules belong to the model's definition:
 //!
-//! - **Yield**: where an object that is in the way pushes back too hard or cannot give way any
-//!   further, the instrument goes back along its path instead of forward.
+//! - **Yield**: where an object that is in the way pushes back too hard or is pressed into what is
+//!   behind it, the instrument goes back along its path instead of forward; just before, it waits.
 //! - **Quiescence**: while every free object sleeps and the instrument's swept volume meets none,
 //!   the instrument moves and no substep runs, since nothing else would change.
 
@@ -12,10 +12,11 @@ use nalgebra::{Point3, UnitQuaternion, Vector3};
 
 use super::frames::{self, Aabb, Pose};
 use super::world::{BodyId, Motion, Part, Push, Shape, World};
+use crate::robots::Psm;
 
 /// From the wrist-yaw axis to the tip of the closed jaws, m, along the approach axis (the z axis
-/// of the wrist frame). Source: dVRK's "yaw to control point" of Large Needle Drivers.
-pub const TIP_OFFSET: f64 = 0.0102;
+/// of the wrist frame).
+pub const TIP_OFFSET: f64 = Psm::TIP_DISTANCE;
 
 /// Jaw angle of closed jaws, rad. The angle is the opening between both fingers.
 pub const JAW_CLOSED: f64 = 0.0;
@@ -33,7 +34,7 @@ const YIELD_FORCE: f64 = 2.5;
 /// Overlap of a pushed object with anything beyond which an instrument yields, m. Contact stiffness
 /// is per mass: a needle of 0.4 g would be pressed through its support before it pushed back with
 /// [`YIELD_FORCE`].
-const YIELD_DEPTH: f64 = 0.2e-3;
+const YIELD_OVERLAP: f64 = 0.05e-3;
 
 /// Distance at which an object counts as met, m: more than the engine's contact prediction
 /// (0.2 mm) and than the bulge of the path of a jaw tip that turns by 50°.
@@ -146,7 +147,7 @@ impl Instrument {
         let along = |done: u32| start.towards(&end, smoothstep(done, substeps));
         let mut done = 0;
         let mut push = Push::NONE;
-        for substep in 0..substeps {
+        for _ in 0..substeps {
             if world.at_rest() {
                 push = Push::NONE;
                 if !world.object_in(&swept(&self.posture, &end)) {
@@ -160,10 +161,13 @@ impl Instrument {
                     continue;
                 }
             }
-            done = if opposed(&push, &start, &end) { done.saturating_sub(1) } else { done + 1 };
+            done = match resistance(&push, &start, &end) {
+                Resistance::None => done + 1,
+                Resistance::Holds => done,
+                Resistance::Drives => done.saturating_sub(1),
+            };
             self.drive(world, along(done));
             push = self.push(world);
-            debug_assert!(done <= substep + 1);
         }
         smoothstep(done, substeps)
     }
@@ -208,13 +212,29 @@ fn swept(start: &Posture, end: &Posture) -> Aabb {
     start.aabb().merged(&end.aabb()).grown(MARGIN)
 }
 
-/// Whether `push` forbids to go on from `start` to `end`.
-fn opposed(push: &Push, start: &Posture, end: &Posture) -> bool {
+/// What an object in the way does to a motion.
+enum Resistance {
+    /// The motion goes on.
+    None,
+    /// It waits until the object has given way.
+    Holds,
+    /// It goes back.
+    Drives,
+}
+
+/// What `push` does to the motion from `start` to `end`.
+fn resistance(push: &Push, start: &Posture, end: &Posture) -> Resistance {
     let end_from_start = end.world_from_wrist * start.world_from_wrist.inverse();
     let motion = end_from_start * push.point - push.point;
-    let Some(direction) = motion.try_normalize(1e-9) else { return false };
+    let Some(direction) = motion.try_normalize(1e-9) else { return Resistance::None };
     let along = push.force.dot(&direction);
-    along < -YIELD_FORCE || (along < 0.0 && push.overlap > YIELD_DEPTH)
+    if along < -YIELD_FORCE || (along < 0.0 && push.overlap > YIELD_OVERLAP) {
+        Resistance::Drives
+    } else if along < 0.0 && push.overlap > 0.5 * YIELD_OVERLAP {
+        Resistance::Holds
+    } else {
+        Resistance::None
+    }
 }
 
 /// The smooth profile: 0 at 0, 1 at `total`, with velocity 0 at both ends.
@@ -224,6 +244,7 @@ fn smoothstep(done: u32, total: u32) -> f64 {
 }
 
 #[cfg(test)]
+#[expect(clippy::float_cmp, reason = "these results are exact")]
 mod tests {
     use super::*;
     use crate::sim::world::Solver;
@@ -283,10 +304,11 @@ mod tests {
         let (mut world, wire) = pad_and_wire();
         let mut instrument = Instrument::insert(&mut world, down([-0.008, 0.0, 0.1e-3]));
         let end = down([0.002, 0.0, 0.1e-3]);
-        assert_eq!(instrument.travel(&mut world, end, SUBSTEPS), 1.0);
+        assert!(instrument.travel(&mut world, end, SUBSTEPS) > 0.95);
         // The finger's flank is 0.9 mm from the tip's middle, the wire's axis 0.5 mm further.
         let pushed = world.pose(wire).translation.vector;
-        assert!(pushed.x > 0.002 + 0.9e-3 && pushed.x < 0.02, "{pushed}");
+        let tip = instrument.posture().world_from_tip().translation.x;
+        assert!(pushed.x > tip + 0.9e-3 && pushed.x < 0.02, "{pushed}");
         assert!(pushed.z > 0.4e-3 && pushed.z < 0.02);
     }
 

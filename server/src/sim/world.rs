@@ -6,9 +6,9 @@
 use nalgebra::{Point3, Vector3};
 use rapier3d::dynamics::SpringCoefficients;
 use rapier3d::prelude::{
-    BroadPhaseBvh, CCDSolver, ColliderBuilder, ColliderHandle, ColliderSet, FrictionModel,
-    ImpulseJointSet, IntegrationParameters, IslandManager, MultibodyJointSet, NarrowPhase,
-    PhysicsPipeline, RigidBodyBuilder, RigidBodyHandle, RigidBodySet, SoftBodySet,
+    BroadPhaseBvh, CCDSolver, ColliderBuilder, ColliderHandle, ColliderSet, ContactPair,
+    FrictionModel, ImpulseJointSet, IntegrationParameters, IslandManager, MultibodyJointSet,
+    NarrowPhase, PhysicsPipeline, RigidBodyBuilder, RigidBodyHandle, RigidBodySet, SoftBodySet,
 };
 
 use super::frames::{self, Aabb, Pose, SCALE};
@@ -176,7 +176,7 @@ impl World {
             contact_recycling: true,
             normalized_contact_recycle_distance: RECYCLE_DISTANCE,
             contact_clustering: false, // `push_on` reads the manifolds
-            max_ccd_substeps: 0,
+            max_ccd_substeps: 1, // a needle that falls 5 mm moves by more than its wire's radius a substep
             ..IntegrationParameters::default()
         };
         Self {
@@ -330,9 +330,7 @@ impl World {
         let body = self.colliders[part].parent().expect("every collider belongs to a body");
         let parts = self.bodies[body].colliders().iter();
         let pairs = parts.flat_map(|part| self.narrow_phase.contact_pairs_with(*part));
-        let contacts = pairs
-            .flat_map(rapier3d::geometry::ContactPair::manifolds)
-            .flat_map(|each| &each.points);
+        let contacts = pairs.flat_map(ContactPair::manifolds).flat_map(|each| &each.points);
         contacts.fold(0.0, |deepest, contact| deepest.max(-f64::from(contact.dist) / SCALE))
     }
 

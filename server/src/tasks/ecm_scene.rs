@@ -254,6 +254,7 @@ fn half_turn() -> UnitQuaternion<f64> {
 }
 
 #[cfg(test)]
+#[expect(clippy::float_cmp, reason = "these results are exact")]
 mod tests {
     use super::*;
 

@@ -19,6 +19,7 @@ pub mod ecm_scene;
 pub mod needle_reach;
 pub mod options;
 pub mod psm_scene;
+pub mod tray;
 
 /// A task: what it looks like from outside, how an episode begins, what an action does, what is
 /// seen. Counting steps, the time limit, checking actions, goal rewards and randomisation that is
@@ -72,10 +73,13 @@ pub trait Task: Clone + Send + Sync + 'static {
 /// The tasks that can be made, by id.
 pub struct Registry(Vec<Entry>);
 
+/// A task with its prepared world.
+type Made = (Box<dyn AnyTask>, World);
+
 struct Entry {
     id: &'static str,
     options: fn() -> Vec<OptionSpec>,
-    make: fn(&Options) -> Result<(Box<dyn AnyTask>, World), Rejection>,
+    make: fn(&Options) -> Result<Made, Rejection>,
 }
 
 impl Registry {

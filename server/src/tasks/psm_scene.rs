@@ -1,5 +1,4 @@
-//! What the PSM tasks share: where arms, table and pad stand, how actions move an arm, what is
-//! observed of it, and the needle.
+//! What the PSM tasks share: where the arm stands, how actions move it, what is observed of it.
 //!
 //! Everything is in the *scene* frame, the original's world: z up, table top nominally at 0.675 m.
 //! Where `setup` moves the base or the table, the arm's base moves in the scene, while workspace,
@@ -27,12 +26,11 @@ use trocar_proto::spec::{Element, RowSpec};
 use trocar_proto::{Options, Rejection};
 
 use super::options::{self, ActionMode, Preset, Range};
-use crate::assets::Model;
 use crate::robots::Psm;
 use crate::sim::frames::{self, Aabb, Pose};
 use crate::sim::instrument::{self, Instrument, JAW_CLOSED, JAW_OPEN, Posture, TIP_OFFSET};
 use crate::sim::random::Rng;
-use crate::sim::world::{BodyId, Motion, SUBSTEPS_PER_SECOND, World};
+use crate::sim::world::{SUBSTEPS_PER_SECOND, World};
 
 /// Simulated time of one step, s.
 pub const SECONDS_PER_STEP: f64 = 0.2;
@@ -69,86 +67,6 @@ pub const STEP_ANGLE: f64 = 30.0 * DEGREE;
 const JOINT_STEPS: [f64; 6] = [0.06, 0.06, 0.01, STEP_ANGLE, STEP_ANGLE, STEP_ANGLE];
 
 const DEGREE: f64 = PI / 180.0;
-
-/// Origin of the tray and of the pad in it, m. Source: the original.
-const TRAY_ORIGIN: [f64; 3] = [0.55, 0.0, 0.6751];
-
-/// Friction coefficient of all objects and furniture. Source: the original.
-const FRICTION: f64 = 1.0;
-
-/// Puts tray and pad into the world.
-pub fn insert_tray_and_pad(world: &mut World) {
-    for model in [Model::tray(), Model::pad()] {
-        world.insert(Motion::Fixed, &scene_from_tray(), FRICTION, &model.parts);
-    }
-}
-
-/// The pad on which objects lie, m.
-pub fn pad() -> Aabb {
-    Model::pad().aabb(&scene_from_tray())
-}
-
-fn scene_from_tray() -> Pose {
-    frames::pose(TRAY_ORIGIN, [0.0; 3])
-}
-
-/// The 40 mm suture needle.
-#[derive(Debug, Clone)]
-pub struct Needle {
-    body: BodyId,
-}
-
-impl Needle {
-    /// Mass under `preset = "surrol"`, kg. Source: the original.
-    const SURROL_MASS: f64 = 0.01;
-
-    /// Puts a needle into the world.
-    pub fn insert(world: &mut World, preset: Preset) -> Self {
-        let model = Model::needle();
-        let mass = match preset {
-            Preset::Paper => model.mass,
-            Preset::Surrol => Self::SURROL_MASS,
-        };
-        let at = Self::resting(pad().centre().x, pad().centre().y, 0.0);
-        Self { body: world.insert(Motion::Free { mass }, &at, FRICTION, &model.parts) }
-    }
-
-    /// The body in the world.
-    pub fn body(&self) -> BodyId {
-        self.body
-    }
-
-    /// Lays the needle flat on the pad, at rest: `x` and `y` of the circle's centre, m, and turn
-    /// about the vertical, rad.
-    pub fn lay(&self, world: &mut World, x: f64, y: f64, yaw: f64) {
-        world.place(self.body, &Self::resting(x, y, yaw));
-    }
-
-    /// Lays the needle flat, turned by up to 90° either way, anywhere that is wholly on the pad and
-    /// in the workspace.
-    pub fn lay_anywhere(&self, world: &mut World, rng: &mut Rng) {
-        let yaw = rng.uniform(-FRAC_PI_2, FRAC_PI_2);
-        let outline = Model::needle().aabb(&frames::pose([0.0; 3], [0.0, 0.0, yaw]));
-        let pad = pad();
-        let mut along = |axis: usize| {
-            let low = pad.min[axis].max(WORKSPACE.min[axis]) - outline.min[axis];
-            rng.uniform(low, pad.max[axis].min(WORKSPACE.max[axis]) - outline.max[axis])
-        };
-        let (x, y) = (along(0), along(1));
-        self.lay(world, x, y, yaw);
-    }
-
-    /// The middle of the arc, m, scene frame.
-    pub fn middle(&self, world: &World) -> Vector3<f64> {
-        (world.pose(self.body) * Model::needle().body_from("mid_arc")).translation.vector
-    }
-
-    /// Where the needle touches the pad along its whole length.
-    fn resting(x: f64, y: f64, yaw: f64) -> Pose {
-        let below = Model::needle().aabb(&Pose::identity()).min.z;
-        frames::pose([x, y, pad().max.z - below], [0.0, 0.0, yaw])
-    }
-}
 
 /// What the `paper` action of a task moves besides the position.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -485,6 +403,7 @@ fn wrist_from_link() -> UnitQuaternion<f64> {
 mod tests {
     use super::*;
     use crate::sim::world::Solver;
+    use crate::tasks::tray::pad;
 
     fn arm(options: &Options) -> (World, PsmArm) {
         let mut world = World::new(Solver::LIGHT);
@@ -558,30 +477,6 @@ mod tests {
                 assert!(arm.joints.iter().zip(limits).all(|(q, l)| l.min <= *q && *q <= l.max));
             }
             assert!(lowest < pad().max.z + 1e-3, "{mode}: never came down, {lowest}");
-        }
-    }
-
-    #[test]
-    fn a_needle_lies_on_pad_and_workspace_and_stays_where_it_is_laid() {
-        let mut world = World::new(Solver::LIGHT);
-        insert_tray_and_pad(&mut world);
-        let needle = Needle::insert(&mut world, Preset::Paper);
-        let mut rng = Rng::new(3, 0);
-        for _ in 0..20 {
-            needle.lay_anywhere(&mut world, &mut rng);
-            let laid = world.pose(needle.body());
-            world.wake(needle.body());
-            for _ in 0..24 {
-                world.step();
-            }
-            let moved = world.pose(needle.body()).translation.vector - laid.translation.vector;
-            assert!(moved.norm() < 0.02e-3, "{moved}");
-            let outline = Model::needle().aabb(&laid);
-            let inside = |area: &Aabb, axis: usize| {
-                area.min[axis] - 1e-9 <= outline.min[axis]
-                    && outline.max[axis] <= area.max[axis] + 1e-9
-            };
-            assert!((0..2).all(|axis| inside(&WORKSPACE, axis) && inside(&pad(), axis)));
         }
     }
 }

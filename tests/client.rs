@@ -1,0 +1,216 @@
+//! A client process for the tests: `trocar-test-client ROLE SERVER`. It prints `ready` once it does
+//! what its role says, and what it has found out; the roles are listed in `main`.
+
+mod rows;
+
+use std::collections::VecDeque;
+use std::io::{Read, Write};
+use std::time::Duration;
+
+use anyhow::{Result, bail};
+use rows::{Digest, Row, act, policies};
+use trocar_client::{Autoreset, CallError, Client, ConnectError, Session, SessionRequest};
+
+/// Environments of each session.
+const ENVS: u32 = 4;
+
+/// What happens at the end of an episode.
+const MODE: Autoreset = Autoreset::NextStep;
+
+fn main() -> Result<()> {
+    let arguments: Vec<String> = std::env::args().skip(1).collect();
+    let [role, server] = arguments.as_slice() else { bail!("usage: ROLE SERVER") };
+    match role.as_str() {
+        "connect" => connect(server),
+        "open" => open_for_ever(server),
+        "churn" => churn(server),
+        "fill" => fill(server),
+        "step" => step_for_ever(server),
+        "hold" => hold_replies(server),
+        "in-flight" => leave_in_flight(server),
+        "until-lost" => step_until_lost(server),
+        "until-told" => step_until_told(server),
+        "digest" => digest(server),
+        "private" => use_private_server(),
+        _ => bail!("unknown role {role}"),
+    }
+}
+
+/// Connects, and no more.
+fn connect(server: &str) -> Result<()> {
+    let _client = Client::connect(server)?;
+    say("ready")?;
+    await_end_of_input()
+}
+
+/// Opens one session after the other.
+fn open_for_ever(server: &str) -> Result<()> {
+    let client = Client::connect(server)?;
+    say("ready")?;
+    loop {
+        drop(client.open(&request())?);
+    }
+}
+
+/// Opens and closes 200 sessions, prints the number of this process's open files, and does so
+/// again for each line of input.
+fn churn(server: &str) -> Result<()> {
+    let client = Client::connect(server)?;
+    loop {
+        for _ in 0..200 {
+            client.open(&request())?.reset()?;
+        }
+        while !client.status()?.sessions.is_empty() {
+            std::thread::sleep(Duration::from_millis(1));
+        }
+        // Threads of sessions that were closed just now still end.
+        std::thread::sleep(Duration::from_millis(500));
+        say(&std::fs::read_dir("/proc/self/fd")?.count().to_string())?;
+        if std::io::stdin().read_line(&mut String::new())? == 0 {
+            return Ok(());
+        }
+    }
+}
+
+/// Opens sessions until one is refused, prints why, and lets all of them use what they were given.
+fn fill(server: &str) -> Result<()> {
+    let client = loop {
+        match Client::connect(server) {
+            Err(ConnectError::NoServer { .. }) => std::thread::sleep(Duration::from_millis(5)),
+            other => break other?,
+        }
+    };
+    let mut sessions = vec![];
+    let refusal = loop {
+        match client.open(&SessionRequest::new("NeedleReach-v0").envs(256)) {
+            Ok(session) => sessions.push(session),
+            Err(CallError::Refused(refusal)) => break refusal,
+            Err(error) => bail!(error),
+        }
+    };
+    say(&refusal.to_string())?;
+    for session in &mut sessions {
+        let mut held = vec![session.reset()?];
+        let actions = vec![0.5; session.envs() * session.spec().action_dim()];
+        // As many replies as may be held, so that every buffer is written to.
+        while let Ok(reply) = session.step(&actions) {
+            held.push(reply);
+        }
+    }
+    say("all stepped")
+}
+
+/// Steps without a pause.
+fn step_for_ever(server: &str) -> Result<()> {
+    let mut session = open(server)?;
+    let actions = vec![0.5; session.envs() * session.spec().action_dim()];
+    say("ready")?;
+    loop {
+        session.step(&actions)?;
+    }
+}
+
+/// Steps, and keeps the last three replies.
+fn hold_replies(server: &str) -> Result<()> {
+    let mut session = open(server)?;
+    let actions = vec![0.5; session.envs() * session.spec().action_dim()];
+    let mut held = VecDeque::new();
+    for _ in 0..10 {
+        held.push_back(session.step(&actions)?);
+        if held.len() > 3 {
+            held.pop_front();
+        }
+    }
+    say("ready")?;
+    await_end_of_input()
+}
+
+/// Sends two requests whose replies it never takes.
+fn leave_in_flight(server: &str) -> Result<()> {
+    let mut session = open(server)?;
+    let action = vec![0.5; session.spec().action_dim()];
+    session.send(&[0], &action)?;
+    session.send(&[1], &action)?;
+    say("ready")?;
+    await_end_of_input()
+}
+
+/// Steps until the server is gone, and says how it went.
+fn step_until_lost(server: &str) -> Result<()> {
+    let mut session = open(server)?;
+    let actions = vec![0.5; session.envs() * session.spec().action_dim()];
+    say("ready")?;
+    loop {
+        match session.step(&actions) {
+            Ok(_) => {}
+            Err(CallError::ServerLost { closed, .. }) => {
+                return say(if closed { "closed" } else { "died" });
+            }
+            Err(error) => bail!(error),
+        }
+    }
+}
+
+/// Takes one step for each line of input, and says what came of it.
+fn step_until_told(server: &str) -> Result<()> {
+    let mut session = open(server)?;
+    let actions = vec![0.5; session.envs() * session.spec().action_dim()];
+    say("ready")?;
+    for line in std::io::stdin().lines() {
+        line?;
+        match session.step(&actions) {
+            Ok(_) => say("stepped")?,
+            Err(error) => say(&error.to_string())?,
+        }
+    }
+    Ok(())
+}
+
+/// Prints a number that stands for every bit of a trajectory.
+fn digest(server: &str) -> Result<()> {
+    let mut session = open(server)?;
+    let mut policies = policies(0, session.envs());
+    let mut digest = Digest::default();
+    // `open` began episode 0 of every seed; this begins it again.
+    let mut rows = Row::all(&session.reset_envs(&[0, 1, 2, 3], Some(&[0, 1, 2, 3]))?, MODE);
+    digest.add(&rows);
+    for _ in 0..Digest::STEPS {
+        let actions = act(&mut policies, &rows);
+        rows = Row::all(&session.step(&actions)?, MODE);
+        digest.add(&rows);
+    }
+    say(&digest.text())?;
+    await_end_of_input()
+}
+
+/// Opens a session on the private server of the process tree, and says which process serves it.
+fn use_private_server() -> Result<()> {
+    let client = Client::connect_private()?;
+    let mut session = client.open(&request())?;
+    session.reset()?;
+    say(&format!("{} {}", client.server().name, client.server().pid))?;
+    await_end_of_input()
+}
+
+fn request() -> SessionRequest {
+    SessionRequest::new("EcmReach-v0").envs(ENVS)
+}
+
+/// A session that was reset once and wants the expert.
+fn open(server: &str) -> Result<Session> {
+    let mut session = Client::connect(server)?.open(&request())?;
+    session.want_expert(true);
+    session.reset()?;
+    Ok(session)
+}
+
+fn await_end_of_input() -> Result<()> {
+    std::io::stdin().read_to_end(&mut Vec::new())?;
+    Ok(())
+}
+
+fn say(line: &str) -> Result<()> {
+    let mut out = std::io::stdout().lock();
+    writeln!(out, "{line}")?;
+    Ok(out.flush()?)
+}

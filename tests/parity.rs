@@ -1,0 +1,104 @@
+//! Same seed and actions, same bits: in-process and through a session, alone and among 64, on one
+//! thread and on two, before and after a restart of the server, under several options.
+
+use trocar_client::{Autoreset, Options, Session, SessionRequest};
+use trocar_server::Registry;
+
+use crate::harness::Server;
+use crate::rows::{Row, act, policies};
+use crate::twin::Twin;
+
+/// Past the end of an episode, and into the next.
+const STEPS: usize = 70;
+
+/// Seed of the first environment.
+const SEED: u64 = 1000;
+
+/// Every row of every environment, message by message.
+type Trajectory = Vec<Vec<Row>>;
+
+/// The option sets of a task that are tried: its defaults, and each word of each choice.
+fn option_sets(task: &str) -> Vec<Options> {
+    let mut sets = vec![Options::new()];
+    for option in Registry::builtin().spec(task, &Options::new()).unwrap().options {
+        if let trocar_proto::spec::Allowed::OneOf(words) = option.allowed {
+            let word = |word: &String| Options::new().with_text(&option.name, word);
+            sets.extend(words.iter().skip(1).map(word));
+        }
+    }
+    sets
+}
+
+fn in_process(task: &str, options: &Options, envs: usize) -> Trajectory {
+    let mut twin = Twin::new(task, options, envs, SEED);
+    let all = twin.all();
+    let mut policies = policies(SEED, envs);
+    let mut played = vec![twin.reset(&all, None)];
+    for _ in 0..STEPS {
+        let actions = act(&mut policies, &played[played.len() - 1]);
+        played.push(twin.step(&all, &actions).unwrap());
+    }
+    played
+}
+
+fn through(session: &mut Session, seed: u64) -> Trajectory {
+    let mut policies = policies(seed, session.envs());
+    let mut played = vec![Row::all(&session.reset().unwrap(), Autoreset::NextStep)];
+    for _ in 0..STEPS {
+        let actions = act(&mut policies, &played[played.len() - 1]);
+        played.push(Row::all(&session.step(&actions).unwrap(), Autoreset::NextStep));
+    }
+    played
+}
+
+fn remote(server: &Server, task: &str, options: &Options, envs: usize, seed: u64) -> Trajectory {
+    let request = SessionRequest::new(task).envs(envs as u32).seed(seed).options(options.clone());
+    through(&mut server.open(&request), seed)
+}
+
+#[test]
+fn every_task_and_option_has_the_same_bits_in_process_and_through_a_session() {
+    let server = Server::start();
+    for task in Registry::builtin().ids() {
+        for options in option_sets(task) {
+            let expected = in_process(task, &options, 2);
+            let found = remote(&server, task, &options, 2, SEED);
+            assert!(found == expected, "{task} {options:?}");
+        }
+    }
+}
+
+#[test]
+fn bits_do_not_depend_on_company_threads_or_the_run_of_the_server() {
+    for task in Registry::builtin().ids() {
+        let options = Options::new();
+        let expected = in_process(task, &options, 64);
+        let mut server = Server::start_with(&["--threads", "1"]);
+        assert!(remote(&server, task, &options, 64, SEED) == expected, "{task}: one thread");
+        for index in [0, 17, 63] {
+            let alone = remote(&server, task, &options, 1, SEED + index as u64);
+            let same = alone.iter().zip(&expected).all(|(alone, all)| alone[0] == all[index]);
+            assert!(same, "{task}: environment {index} alone");
+        }
+        let name = server.name().to_string();
+        drop(server);
+        server = Server::start_named(&name, &["--threads", "2"]);
+        assert!(remote(&server, task, &options, 64, SEED) == expected, "{task}: two threads");
+    }
+}
+
+#[test]
+fn sessions_side_by_side_do_not_touch_each_other() {
+    let server = Server::start();
+    let tasks: Vec<String> = Registry::builtin().ids().map(str::to_string).collect();
+    std::thread::scope(|scope| {
+        for index in 0..6 {
+            let (server, task) = (&server, &tasks[index % tasks.len()]);
+            scope.spawn(move || {
+                let expected = in_process(task, &Options::new(), 1 + index);
+                let found = remote(server, task, &Options::new(), 1 + index, SEED);
+                assert!(found == expected, "{task} with {} environments", 1 + index);
+            });
+        }
+    });
+}
