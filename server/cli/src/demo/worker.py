@@ -1,4 +1,4 @@
-"""The Python client of ``make demo``; ``server/cli/src/demo/client.rs`` is its twin.
+"""The Python client of ``make demo``; ``client.rs`` is its twin.
 
 It says when it is ready, begins at a line on stdin, lets the scripted expert act in many
 environments of a server, and reports its counts as JSON lines.
