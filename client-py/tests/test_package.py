@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import subprocess
 import sys
@@ -64,13 +63,3 @@ def test_the_random_policy_example_runs(server: str) -> None:
     done = run(str(EXAMPLES / "random_policy.py"), server)
     assert done.returncode == 0, done.stderr
     assert "expert: 8 of 8" in done.stdout
-
-
-def test_the_worker_of_the_demo_runs(task: str, server: str) -> None:
-    options = {"--server": server, "--task": task, "--envs": "3", "--seed": "5", "--seconds": "0"}
-    arguments = [word for option in options.items() for word in option]
-    done = run(str(EXAMPLES / "demo_worker.py"), *arguments)
-    assert done.returncode == 0, done.stderr
-    result = json.loads(done.stdout.splitlines()[-1])
-    assert result["done"]
-    assert result["episodes"] == result["successes"] == 3
