@@ -24,7 +24,7 @@ PIP_INSTALL := -m pip install --quiet --disable-pip-version-check
 .PHONY: help
 help:
 	@echo 'Needs for everything: Linux, Rust >= 1.95 (cargo), a C linker, make.'
-	@echo 'Those marked * also need Python >= 3.11 with venv, and a package index for pip.'
+	@echo 'Those marked * also need Python >= 3.10 with venv, and a package index for pip.'
 	@grep -E '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## (.*)/  make \1\t\2/' | expand -t 18
 
 # ---- Running ----
@@ -61,7 +61,7 @@ lint-python: $(VENV)/ready
 
 .PHONY: test-rust
 test-rust: ## Rust: unit, task suite, command, multi-process (reduced counts)
-	$(CARGO) test --workspace --locked
+	TROCAR_BINARY=$(TARGET)/debug/trocar $(CARGO) test --workspace --locked
 
 .PHONY: test-python
 test-python: develop ## * Python with the newest Gymnasium: types, stubs, tests
@@ -82,7 +82,7 @@ test-wheels: $(VENV)/ready ## * both wheels with the oldest Gymnasium, without R
 
 .PHONY: soak
 soak: develop ## * the long bars: 1,000,000 fuzzed messages, long multi-process loops
-	TROCAR_SOAK=1 $(CARGO) test --workspace --locked -- --nocapture
+	TROCAR_SOAK=1 TROCAR_BINARY=$(TARGET)/debug/trocar $(CARGO) test --workspace --locked -- --nocapture
 
 .PHONY: bench
 bench: ## benchmarks (criterion): kinematics, a step in-process, a round trip

@@ -28,9 +28,7 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, required=True, help="how long to work")
     args = parser.parse_args()
 
-    envs = gym.make_vec(
-        f"trocar/{args.task}", num_envs=args.envs, server=args.server, expert=True
-    )
+    envs = gym.make_vec(f"trocar/{args.task}", num_envs=args.envs, server=args.server, expert=True)
     _, infos = envs.reset(seed=args.seed)
     report(done=False, seconds=0.0, episodes=0, successes=0, steps=0, latencies=[])
     sys.stdin.readline()
