@@ -132,6 +132,24 @@ def test_interrupted_receive_can_be_repeated(own_server: trocar.Server, script: 
     assert process.wait() == 0
 
 
+def test_a_server_does_not_outlive_the_process_that_started_it(script: Script) -> None:
+    process = script(
+        """
+        import trocar
+        server = trocar.Server(threads=1).start()
+        print(server.name)
+        print(server.pid)
+        input()
+        """
+    )
+    name, pid = hear(process), int(hear(process))
+    assert alive(pid)
+    process.kill()
+    process.wait()
+    eventually(lambda: not alive(pid))
+    eventually(lambda: left_behind(name) == [])
+
+
 def test_a_killed_server_is_lost_to_waiting_clients_and_a_new_one_serves_them(
     script: Script,
 ) -> None:

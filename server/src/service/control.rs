@@ -12,7 +12,7 @@ use trocar_proto::wire::Header;
 use trocar_proto::{Code, Rejection};
 
 use super::desk::{Answer, Desk, Footprint};
-use super::lease::{self, Census, PrivateWatch};
+use super::lease::{self, Census, Watch};
 use super::ports::{self, ControlPorts, Request};
 use super::scheduler::Scheduler;
 use super::session::{self, SessionHandle};
@@ -47,7 +47,7 @@ pub(super) fn run(
         started: Instant::now(),
         stop: stop.clone(),
     };
-    let mut watch = config.private.map(PrivateWatch::new);
+    let mut watch = Watch::new(config);
     let mut looked = Instant::now();
     ready();
     tracing::info!(name = %config.name, pid = std::process::id(), threads = config.threads, "serving");
@@ -60,7 +60,7 @@ pub(super) fn run(
         }
         if looked.elapsed() >= lease::INTERVAL {
             looked = Instant::now();
-            host.sweep(watch.as_mut());
+            host.sweep(&mut watch);
         }
         let patience = lease::INTERVAL.saturating_sub(looked.elapsed());
         match bell.timed_wait(|_| {}, patience) {
@@ -152,7 +152,7 @@ impl Host {
     }
 
     /// Closes the sessions of dead clients and removes what they left.
-    fn sweep(&mut self, watch: Option<&mut PrivateWatch>) {
+    fn sweep(&mut self, watch: &mut Watch) {
         let Some(census) = Census::take(&self.ground.node) else { return };
         let over = self.sessions.extract_if(.., |id, handle| {
             let alive = census.has(handle.client().node);
@@ -167,8 +167,8 @@ impl Host {
         if census.deaths {
             self.ground.node.try_cleanup_dead_nodes();
         }
-        if let Some(why) = watch.and_then(|watch| watch.verdict(census.clients())) {
-            tracing::info!(why, "the private server ends");
+        if let Some(why) = watch.verdict(census.clients()) {
+            tracing::info!(why, "the server ends");
             self.stop.set();
         }
     }

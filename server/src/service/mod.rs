@@ -52,17 +52,10 @@ pub struct ServerConfig {
     pub memory_bytes: u64,
     /// A session that sends nothing for so long is closed.
     pub idle_limit: Duration,
-    /// Set for the private server of a process tree.
-    pub private: Option<PrivateRule>,
-}
-
-/// When a private server ends by itself.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct PrivateRule {
     /// The process whose end ends the server.
-    pub root: u32,
-    /// How long the server outlives its last client.
-    pub linger: Duration,
+    pub follow: Option<u32>,
+    /// How long the server outlives its last client; for ever if `None`.
+    pub linger: Option<Duration>,
 }
 
 impl ServerConfig {
@@ -74,7 +67,8 @@ impl ServerConfig {
             max_envs: 4096,
             memory_bytes: 1 << 30,
             idle_limit: Duration::from_hours(1),
-            private: None,
+            follow: None,
+            linger: None,
         }
     }
 }
@@ -142,8 +136,12 @@ pub fn serve(
     let lock = take_lock(&membership, epoch).map_err(folder)?;
     let lock = lock.map_err(|pid| ServeError::NameInUse { name: config.name.to_string(), pid })?;
     let node = Arc::new(membership.node().map_err(internal("node"))?);
-    // A predecessor may have died while its clients live: what it left goes first.
+    // A predecessor may have died while its clients live: what it left goes first. So does what
+    // nobody uses under other names: those of private servers are not used again.
     node.try_cleanup_dead_nodes();
+    for other in Endpoint::all().map_err(folder)? {
+        other.remove_if_unused().ok();
+    }
     let served = control::run(Arc::new(registry), config, &lock, &node, stop, ready);
     node.try_cleanup_dead_nodes();
     drop(node);
