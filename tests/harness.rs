@@ -207,7 +207,8 @@ pub(crate) fn binary() -> &'static Path {
         }
         let profile = if cfg!(debug_assertions) { "dev" } else { "release" };
         let status = Command::new(env!("CARGO"))
-            .args(["build", "--quiet", "--package", "trocar", "--profile", profile])
+            // Of the whole workspace, so that dependencies are those that are built already.
+            .args(["build", "--quiet", "--workspace", "--bin", "trocar", "--profile", profile])
             .current_dir(env!("CARGO_MANIFEST_DIR"))
             .status()
             .expect("cargo runs the tests");
