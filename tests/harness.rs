@@ -82,6 +82,9 @@ impl Drop for Server {
             self.child.signal(Signal::TERM);
         }
         if std::thread::panicking() {
+            // The report is out; what can be removed is, if only for the next look.
+            drop(self.child.child.wait());
+            self.endpoint().remove_if_unused().ok();
             return;
         }
         self.child.wait();
