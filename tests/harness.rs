@@ -18,7 +18,7 @@ use trocar_proto::endpoint::{Endpoint, ServerState};
 pub(crate) const PATIENCE: Duration = Duration::from_secs(30);
 
 /// How long a whole test may take.
-const WATCHDOG: Duration = Duration::from_secs(240);
+const WATCHDOG: Duration = Duration::from_mins(4);
 
 /// The processes that tests have started and not yet ended.
 static CHILDREN: Mutex<BTreeSet<u32>> = Mutex::new(BTreeSet::new());
