@@ -11,7 +11,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     loop {
         let reply = session.step(&actions)?; // arrays in shared memory, row by row
         if reply.truncated()[0] == 1 {
-            let successes = reply.is_success().iter().filter(|flag| **flag == 1).count();
+            let successes: u32 = reply.is_success().iter().map(|flag| u32::from(*flag)).sum();
             println!("{successes} of {} episodes ended in success", reply.rows());
             return Ok(());
         }
