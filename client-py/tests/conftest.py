@@ -22,6 +22,10 @@ WATCHDOG = 60.0
 
 Script = Callable[..., subprocess.Popen[str]]
 
+# A shell that runs the tests in the background has Ctrl-C ignored, and what ignores a signal hands
+# that down to the processes it starts.
+signal.signal(signal.SIGINT, signal.default_int_handler)
+
 
 @pytest.fixture(scope="session")
 def server() -> Iterator[str]:
