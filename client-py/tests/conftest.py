@@ -10,6 +10,7 @@ import sys
 import textwrap
 import time
 from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -76,9 +77,36 @@ def script(tmp_path: Path) -> Iterator[Script]:
     yield start
     for process in started:
         # Its children are in its group, and hold on to its output.
-        with contextlib.suppress(ProcessLookupError):
-            os.killpg(process.pid, signal.SIGKILL)
+        for pid in in_group(process.pid):
+            if not tracks_resources(pid):
+                with contextlib.suppress(ProcessLookupError):
+                    os.kill(pid, signal.SIGKILL)
         process.communicate()
+        # Python's own tracker ends by itself, after it has removed what the killed ones left.
+        eventually(partial(is_gone, process.pid))
+
+
+def is_gone(group: int) -> bool:
+    """Whether all processes of a process group have ended."""
+    return not any(alive(pid) for pid in in_group(group))
+
+
+def in_group(group: int) -> list[int]:
+    """The processes of a process group."""
+    found = []
+    for entry in Path("/proc").iterdir():
+        with contextlib.suppress(OSError, ValueError):
+            if os.getpgid(int(entry.name)) == group:
+                found.append(int(entry.name))
+    return found
+
+
+def tracks_resources(pid: int) -> bool:
+    """Whether a process is the one in which ``multiprocessing`` tracks shared memory."""
+    try:
+        return b"resource_tracker" in Path(f"/proc/{pid}/cmdline").read_bytes()
+    except OSError:
+        return False
 
 
 def say(process: subprocess.Popen[str], line: str = "") -> None:
