@@ -242,6 +242,24 @@ fn both_implementations_agree_bit_by_bit_in_every_mode() {
 }
 
 #[test]
+fn an_environment_that_is_under_way_is_not_sent_again() {
+    let server = Server::start();
+    let mut session = server.open(&SessionRequest::new("EcmReach-v0").envs(4));
+    session.reset().unwrap();
+    session.send(&[1, 3], &[0.0; 6]).unwrap();
+    for (group, actions) in [(&[0, 3][..], &[0.0; 6][..]), (&[0, 1, 2], &[0.0; 9])] {
+        let Err(CallError::Refused(refusal)) = session.send(group, actions) else {
+            panic!("{group:?} was sent");
+        };
+        assert_eq!((refusal.code, refusal.field.as_str()), (Code::InvalidEnvIds, "env_ids"));
+    }
+    assert!(session.start_reset(None, None).is_err());
+    session.send(&[0, 2], &[0.0; 6]).unwrap();
+    assert_eq!(session.recv().unwrap().steps(), [1, 1]);
+    assert_eq!(session.recv().unwrap().steps(), [1, 1]);
+}
+
+#[test]
 fn two_groups_in_flight_go_as_if_alone() {
     let server = Server::start();
     for task in Registry::builtin().ids() {

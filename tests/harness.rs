@@ -18,7 +18,7 @@ use trocar_proto::endpoint::{Endpoint, ServerState};
 pub(crate) const PATIENCE: Duration = Duration::from_secs(30);
 
 /// How long a whole test may take.
-const WATCHDOG: Duration = Duration::from_secs(240);
+const WATCHDOG: Duration = Duration::from_mins(4);
 
 /// The processes that tests have started and not yet ended.
 static CHILDREN: Mutex<BTreeSet<u32>> = Mutex::new(BTreeSet::new());
@@ -82,6 +82,9 @@ impl Drop for Server {
             self.child.signal(Signal::TERM);
         }
         if std::thread::panicking() {
+            // The report is out; what can be removed is, if only for the next look.
+            drop(self.child.child.wait());
+            self.endpoint().remove_if_unused().ok();
             return;
         }
         self.child.wait();
@@ -207,7 +210,8 @@ pub(crate) fn binary() -> &'static Path {
         }
         let profile = if cfg!(debug_assertions) { "dev" } else { "release" };
         let status = Command::new(env!("CARGO"))
-            .args(["build", "--quiet", "--package", "trocar", "--profile", profile])
+            // Of the whole workspace, so that dependencies are those that are built already.
+            .args(["build", "--quiet", "--workspace", "--bin", "trocar", "--profile", profile])
             .current_dir(env!("CARGO_MANIFEST_DIR"))
             .status()
             .expect("cargo runs the tests");

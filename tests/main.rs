@@ -15,6 +15,8 @@
 //!
 //! Every test starts its own server, waits under a watchdog, and finds nothing left at its end.
 
+#![expect(clippy::unwrap_used, reason = "a panic is a test's report, in its helpers too")]
+
 mod conformance;
 mod dependencies;
 mod fuzz;

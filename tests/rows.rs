@@ -75,7 +75,7 @@ impl Policy {
 
     /// The next action after `row`.
     pub(crate) fn act(&mut self, row: &Row) -> Vec<f32> {
-        let follow = self.0.next_u32() % 2 == 0;
+        let follow = self.0.next_u32().is_multiple_of(2);
         let pick = |expert: &u32| {
             let random = self.0.next_u32() as f32 / u32::MAX as f32 * 2.4 - 1.2;
             if follow { f32::from_bits(*expert) } else { random }

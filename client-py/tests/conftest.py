@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
+import signal
 import subprocess
 import sys
 import textwrap
@@ -19,6 +21,10 @@ WATCHDOG = 60.0
 """Seconds after which a test that waits has failed; nothing here takes that long."""
 
 Script = Callable[..., subprocess.Popen[str]]
+
+# A shell that runs the tests in the background has Ctrl-C ignored, and what ignores a signal hands
+# that down to the processes it starts.
+signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 @pytest.fixture(scope="session")
@@ -69,8 +75,9 @@ def script(tmp_path: Path) -> Iterator[Script]:
 
     yield start
     for process in started:
-        if process.poll() is None:
-            process.kill()
+        # Its children are in its group, and hold on to its output.
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(process.pid, signal.SIGKILL)
         process.communicate()
 
 
@@ -108,10 +115,14 @@ def eventually(condition: Callable[[], bool]) -> None:
 def alive(pid: int) -> bool:
     """Whether a process runs; one that ended and was not collected yet does not."""
     try:
-        state = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0]
+        return state(Path(f"/proc/{pid}")) != "Z"
     except FileNotFoundError:
         return False
-    return state != "Z"
+
+
+def state(process: Path) -> str:
+    """The letter that the kernel has for the state of a process or thread under /proc."""
+    return (process / "stat").read_text().rpartition(")")[2].split()[0]
 
 
 def left_behind(name: str) -> list[str]:

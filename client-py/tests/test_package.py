@@ -11,7 +11,7 @@ import pytest
 
 import trocar
 
-EXAMPLES = sorted((Path(__file__).parent.parent / "examples").glob("*.py"))
+EXAMPLES = Path(__file__).parent.parent / "examples"
 
 
 def run(*arguments: str, **variables: str) -> subprocess.CompletedProcess[str]:
@@ -21,11 +21,13 @@ def run(*arguments: str, **variables: str) -> subprocess.CompletedProcess[str]:
         text=True,
         timeout=120,
         check=False,
+        stdin=subprocess.DEVNULL,
         env={**os.environ, **variables},
     )
 
 
 def test_stubs_are_those_of_the_module() -> None:
+    pytest.importorskip("mypy")
     # Warnings of mypy's own are no business of ours.
     checked = subprocess.run(
         [sys.executable, "-m", "mypy.stubtest", "trocar._trocar"],
@@ -57,8 +59,7 @@ def test_a_missing_program_gets_advice(tmp_path: Path) -> None:
     assert said.returncode != 0
 
 
-@pytest.mark.parametrize("example", EXAMPLES, ids=[path.stem for path in EXAMPLES])
-def test_examples_run(example: Path, server: str) -> None:
-    done = run(str(example), server)
+def test_the_random_policy_example_runs(server: str) -> None:
+    done = run(str(EXAMPLES / "random_policy.py"), server)
     assert done.returncode == 0, done.stderr
     assert "expert: 8 of 8" in done.stdout

@@ -6,10 +6,11 @@ import os
 import signal
 import subprocess
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import Script, alive, eventually, hear, left_behind, say
+from conftest import Script, alive, eventually, hear, left_behind, say, state
 from test_env import constant, make, same
 from test_vector import make_vec
 
@@ -44,8 +45,11 @@ STEPPING = """
 
 
 def pause(server: trocar.Server) -> None:
+    """Stops every thread of a server, and waits until they have stopped."""
     assert server.pid is not None
     os.kill(server.pid, signal.SIGSTOP)
+    threads = Path(f"/proc/{server.pid}/task")
+    eventually(lambda: all(state(thread) == "T" for thread in threads.iterdir()))
 
 
 def resume(server: trocar.Server) -> None:
@@ -126,6 +130,24 @@ def test_interrupted_receive_can_be_repeated(own_server: trocar.Server, script: 
     say(process)
     assert hear(process) == "[1]"
     assert process.wait() == 0
+
+
+def test_a_server_does_not_outlive_the_process_that_started_it(script: Script) -> None:
+    process = script(
+        """
+        import trocar
+        server = trocar.Server(threads=1).start()
+        print(server.name)
+        print(server.pid)
+        input()
+        """
+    )
+    name, pid = hear(process), int(hear(process))
+    assert alive(pid)
+    process.kill()
+    process.wait()
+    eventually(lambda: not alive(pid))
+    eventually(lambda: left_behind(name) == [])
 
 
 def test_a_killed_server_is_lost_to_waiting_clients_and_a_new_one_serves_them(
@@ -246,7 +268,8 @@ WORKERS = """
         env.reset(seed=index)
         env.step(env.action_space.sample())
         queue.put(trocar.status()["pid"])
-        go.wait()
+        while not go.wait(0.1) and multiprocessing.parent_process().is_alive():
+            pass
         env.close()
 
     if __name__ == "__main__":

@@ -10,8 +10,8 @@ use std::io::Read;
 use std::os::unix::fs::OpenOptionsExt;
 use std::os::unix::process::CommandExt;
 use std::path::{Path, PathBuf};
-use std::process::{Command, Stdio};
-use std::sync::OnceLock;
+use std::process::{Child, Command, Stdio};
+use std::sync::{Mutex, OnceLock, PoisonError};
 use std::time::{Duration, Instant};
 
 use rustix::fs::{FlockOperation, flock};
@@ -119,10 +119,18 @@ impl PrivateServer {
             }
             std::thread::sleep(Duration::from_millis(2));
         }
-        // Somebody must collect its exit status, or it stays a zombie as long as this process.
-        std::thread::spawn(move || child.wait());
+        keep(child);
         Ok(())
     }
+}
+
+/// Keeps a server that this process started, and collects the exit status of those that ended:
+/// without a thread, since Python warns about forking where there are threads.
+fn keep(server: Child) {
+    static STARTED: Mutex<Vec<Child>> = Mutex::new(Vec::new());
+    let mut started = STARTED.lock().unwrap_or_else(PoisonError::into_inner);
+    started.retain_mut(|child| matches!(child.try_wait(), Ok(None)));
+    started.push(server);
 }
 
 /// A name that nobody else has, and this process as the root: `<name>:<process id>`.

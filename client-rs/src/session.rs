@@ -48,6 +48,20 @@ impl EnvIds {
             Self::Some(ids) => ids.len(),
         }
     }
+
+    /// An environment that both have.
+    fn common(&self, other: &Self) -> Option<u32> {
+        match (self, other) {
+            (Self::All(_), Self::All(_)) => Some(0),
+            (Self::All(_), Self::Some(ids)) | (Self::Some(ids), Self::All(_)) => {
+                ids.first().copied()
+            }
+            // Increasing numbers: found by halving.
+            (Self::Some(ids), Self::Some(others)) => {
+                ids.iter().copied().find(|id| others.binary_search(id).is_ok())
+            }
+        }
+    }
 }
 
 impl Session {
@@ -251,6 +265,15 @@ impl Session {
         }
         if self.in_flight.len() == MAX_IN_FLIGHT {
             return Err(CallError::TooManyInFlight);
+        }
+        if let Some(busy) = self.in_flight.iter().find_map(|other| other.env_ids.common(&env_ids)) {
+            return Err(Rejection::new(
+                Code::InvalidEnvIds,
+                "env_ids",
+                busy,
+                "this environment is under way; receive its reply first",
+            )
+            .into());
         }
         self.requests += 1;
         let rows = env_ids.len();

@@ -3,7 +3,7 @@
 //!
 //! `cargo bench -p trocar-tests --bench round_trip`
 
-#[allow(dead_code)] // The tests need more of it.
+#[allow(dead_code, clippy::unwrap_used)] // Made for the tests, which need more of it.
 #[path = "../harness.rs"]
 mod harness;
 
@@ -33,7 +33,9 @@ fn main() {
 fn in_process(criterion: &mut Criterion, task: &str, envs: u32) -> Option<Latencies> {
     let env = Registry::builtin().make(task, &Options::new()).expect("the task is registered");
     let mut envs: Vec<Env> = vec![env; envs as usize];
-    envs.iter_mut().for_each(|env| env.reset(None));
+    for env in &mut envs {
+        env.reset(None);
+    }
     let mut action = vec![0.0; envs[0].spec().action_dim()];
     let mut step = 0_u32;
     bench(criterion, &format!("{task}/{}/in_process", envs.len()), || {

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import operator
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from gymnasium import spaces
@@ -60,22 +60,25 @@ class GoalFunctions:
         return self.task_spec.compute_success(achieved_goal, desired_goal)[()]
 
 
-def action_space(spec: _trocar.TaskSpec) -> spaces.Box:
+def action_space(spec: _trocar.TaskSpec) -> spaces.Space[NDArray[np.float32]]:
     """The actions of one environment."""
     return _box(spec.action)
 
 
-def observation_space(spec: _trocar.TaskSpec) -> spaces.Dict:
+def observation_space(spec: _trocar.TaskSpec) -> spaces.Space[Observation]:
     """The observations of one environment."""
     parts = {"observation": _box(spec.observation)}
     if spec.goal is not None:
         parts |= {"achieved_goal": _box(spec.goal), "desired_goal": _box(spec.goal)}
-    return spaces.Dict(dict(sorted(parts.items())))
+    # Gymnasium's own types do not say what a Dict holds.
+    return cast("spaces.Space[Observation]", spaces.Dict(dict(sorted(parts.items()))))
 
 
-def _box(elements: Sequence[_trocar.Element]) -> spaces.Box:
+def _box(elements: Sequence[_trocar.Element]) -> spaces.Space[NDArray[np.float32]]:
     low, high = ([getattr(element, end) for element in elements] for end in ("min", "max"))
-    return spaces.Box(np.array(low, np.float32), np.array(high, np.float32), dtype=np.float32)
+    box = spaces.Box(np.array(low, np.float32), np.array(high, np.float32), dtype=np.float32)
+    # Nor, before 1.4, which dtype a Box has.
+    return cast("spaces.Space[NDArray[np.float32]]", box)
 
 
 def observation(reply: _trocar.Reply, copy: bool) -> Observation:

@@ -47,7 +47,8 @@ def binary() -> str:
 class Server:
     """A server of one's own, for as long as a ``with`` block lasts.
 
-    Other processes of the same user reach it by its name. What it writes for people goes to the
+    Other processes of the same user reach it by its name. It ends with the process that made
+    this object, however that ends. What it writes for people goes to the
     file ``log`` (by default a temporary one, which is quoted where the server does not start).
 
     >>> import gymnasium as gym
@@ -87,7 +88,8 @@ class Server:
             "--memory": memory,
             "--idle-limit": idle_limit,
         }
-        self._arguments = ["serve", "--name", self.name]
+        # However this process ends, the server does not outlive it.
+        self._arguments = ["serve", "--name", self.name, "--follow", str(os.getpid())]
         for flag, value in flags.items():
             if value is not None:
                 self._arguments += [flag, str(value)]

@@ -29,8 +29,12 @@ const PATIENCE: Duration = Duration::from_mins(1);
 /// Show one server with a Rust and two Python clients at work.
 #[derive(Debug, Args)]
 #[command(after_help = "\
-`make demo` builds what this needs and runs it from the repository's root. The Python clients need
-the package trocar; --python says whose. Nothing is left behind, however the demonstration ends.")]
+Examples:
+  make demo                                     builds all that is needed, then runs this
+  trocar demo --python .venv/bin/python         a Python that has the package trocar
+  trocar demo --seconds 60 --envs 256
+
+Nothing is left behind, however the demonstration ends.")]
 pub(crate) struct Demo {
     /// How long the clients work, s
     #[arg(long, default_value_t = 10.0)]
@@ -39,15 +43,15 @@ pub(crate) struct Demo {
     #[arg(long, default_value_t = 64, value_parser = clap::value_parser!(u32).range(1..))]
     envs: u32,
     /// The Python that has the package trocar
-    #[arg(long, value_name = "PATH", default_value = ".venv/bin/python")]
+    #[arg(long, value_name = "PATH", default_value = "python3")]
     python: PathBuf,
-    /// The program of the Python clients
-    #[arg(long, value_name = "PATH", default_value = "client-py/examples/demo_worker.py")]
-    worker: PathBuf,
     /// Also one JSON object per client and line, on stdout
     #[arg(long)]
     json: bool,
 }
+
+/// The program of the Python clients, twin of [`client`].
+const PYTHON_CLIENT: &str = include_str!("demo/worker.py");
 
 /// One client of the demonstration.
 #[derive(Debug, Clone, Copy)]
@@ -178,7 +182,7 @@ impl Demo {
             command
         } else {
             let mut command = Command::new(&self.python);
-            command.arg(&self.worker);
+            command.args(["-c", PYTHON_CLIENT]);
             command
         };
         command.args(["--server", server.as_str(), "--task", part.task]);

@@ -72,7 +72,7 @@ fn code_of_cause(cause: &(dyn Error + 'static)) -> Option<u8> {
     if let Some(error) = cause.downcast_ref() {
         return match error {
             ServeError::NameInUse { .. } => Some(IN_USE),
-            ServeError::Config(refusal) => Some(code_of_refusal(refusal)),
+            ServeError::Refused(refusal) => Some(code_of_refusal(refusal)),
             _ => None,
         };
     }

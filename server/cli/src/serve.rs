@@ -4,7 +4,7 @@ use std::time::Duration;
 
 use clap::Args;
 use trocar_proto::endpoint::ServerName;
-use trocar_server::service::{PrivateRule, ServerConfig, StopSignal, serve};
+use trocar_server::service::{ServerConfig, StopSignal, serve};
 use trocar_server::tasks::Registry;
 
 /// How long a private server outlives its last client.
@@ -39,7 +39,10 @@ pub(crate) struct Serve {
     /// Close a session that sends nothing for so long, e.g. 90s, 10min or 1h
     #[arg(long, value_name = "TIME", default_value = "1h", value_parser = parse_duration)]
     idle_limit: Duration,
-    /// Serve the process tree of this process id, and end with it or with the last client
+    /// End with the process of this id, however it ends
+    #[arg(long, value_name = "PID")]
+    follow: Option<u32>,
+    /// As --follow, and end a few seconds after the last client
     #[arg(long, value_name = "PID", hide = true)]
     private: Option<u32>,
 }
@@ -52,7 +55,8 @@ impl Serve {
             max_envs: self.max_envs,
             memory_bytes: self.memory,
             idle_limit: self.idle_limit,
-            private: self.private.map(|root| PrivateRule { root, linger: LINGER }),
+            follow: self.private.or(self.follow),
+            linger: self.private.map(|_| LINGER),
             ..defaults
         };
         let stop = StopSignal::default();
@@ -62,7 +66,7 @@ impl Serve {
         let tasks = registry.ids().count();
         serve(registry, &config, &stop, || {
             // A private server has no user who would read this.
-            if config.private.is_none() {
+            if config.linger.is_none() {
                 announce(&config, tasks);
             }
         })?;

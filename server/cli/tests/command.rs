@@ -75,7 +75,7 @@ impl Drop for Server {
 
 #[test]
 fn every_help_text_shows_examples() {
-    for command in ["serve", "status", "stop", "clean", "tasks", "rollout"] {
+    for command in ["serve", "status", "stop", "clean", "tasks", "rollout", "demo"] {
         let help = run(&[command, "--help"]);
         let text = String::from_utf8(help.stdout).unwrap();
         assert!(help.status.success() && text.contains("Examples:"), "{command}: {text}");

@@ -5,26 +5,19 @@ use std::collections::btree_map::Entry;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use iceoryx2::active_request::ActiveRequest;
-use iceoryx2::port::listener::{Listener, ListenerWaitError};
-use iceoryx2::port::server::Server as ServerPort;
-use iceoryx2::prelude::ServiceName;
-use trocar_proto::control::{self, ControlReply, MAX_MESSAGE, ServerStatus};
-use trocar_proto::endpoint::{MAX_CLIENTS, Node, ServerLock, Transport, control_service};
+use iceoryx2::port::listener::ListenerWaitError;
+use trocar_proto::control::{ControlReply, ServerStatus};
+use trocar_proto::endpoint::{MAX_CLIENTS, Node, ServerLock};
 use trocar_proto::wire::Header;
 use trocar_proto::{Code, Rejection};
 
 use super::desk::{Answer, Desk, Footprint};
-use super::lease::{self, Census, PrivateWatch};
+use super::lease::{self, Census, Watch};
+use super::ports::{self, ControlPorts, Request};
 use super::scheduler::Scheduler;
 use super::session::{self, SessionHandle};
-use super::{ServeError, ServerConfig, StopSignal, transport};
+use super::{ServeError, ServerConfig, StopSignal};
 use crate::tasks::Registry;
-
-/// A control request that waits for its reply.
-pub(super) type RawRequest = ActiveRequest<Transport, [u8], Header, [u8], Header>;
-
-type Port = ServerPort<Transport, [u8], Header, [u8], Header>;
 
 /// Serves until asked to stop.
 pub(super) fn run(
@@ -36,7 +29,7 @@ pub(super) fn run(
     ready: impl FnOnce(),
 ) -> Result<(), ServeError> {
     let epoch = lock.epoch();
-    let (port, bell) = open_ports(node, epoch)?;
+    let ControlPorts { port, bell } = ControlPorts::open(node, epoch)?;
     let scheduler =
         Scheduler::new(config.threads).map_err(|error| ServeError::Threads(error.to_string()))?;
     let mut host = Host {
@@ -54,20 +47,20 @@ pub(super) fn run(
         started: Instant::now(),
         stop: stop.clone(),
     };
-    let mut watch = config.private.map(PrivateWatch::new);
+    let mut watch = Watch::new(config);
     let mut looked = Instant::now();
     ready();
     tracing::info!(name = %config.name, pid = std::process::id(), threads = config.threads, "serving");
     while !stop.is_set() {
         // Every client that waits is answered once before anybody is answered twice.
-        let waiting: Vec<RawRequest> =
+        let waiting: Vec<Request> =
             std::iter::from_fn(|| port.receive().ok().flatten()).take(MAX_CLIENTS).collect();
         for request in waiting {
             host.answer(request);
         }
         if looked.elapsed() >= lease::INTERVAL {
             looked = Instant::now();
-            host.sweep(watch.as_mut());
+            host.sweep(&mut watch);
         }
         let patience = lease::INTERVAL.saturating_sub(looked.elapsed());
         match bell.timed_wait(|_| {}, patience) {
@@ -86,47 +79,6 @@ pub(super) fn run(
     Ok(())
 }
 
-fn open_ports(node: &Node, epoch: u64) -> Result<(Port, Listener<Transport>), ServeError> {
-    let name: ServiceName = control_service(epoch)
-        .as_str()
-        .try_into()
-        .expect("the name of the control service is short");
-    let service = node
-        .service_builder(&name)
-        .request_response::<[u8], [u8]>()
-        .request_user_header::<Header>()
-        .response_user_header::<Header>()
-        .max_servers(1)
-        .max_clients(MAX_CLIENTS)
-        .max_nodes(MAX_CLIENTS + 1)
-        .max_active_requests_per_client(1)
-        .max_loaned_requests(1)
-        .max_response_buffer_size(1)
-        .max_borrowed_responses_per_pending_response(1)
-        .enable_safe_overflow_for_requests(false)
-        .enable_safe_overflow_for_responses(false)
-        .enable_fire_and_forget_requests(false)
-        .create()
-        .map_err(transport("control service"))?;
-    let event = node
-        .service_builder(&name)
-        .event()
-        .max_listeners(1)
-        .max_notifiers(MAX_CLIENTS)
-        .max_nodes(MAX_CLIENTS + 1)
-        .create()
-        .map_err(transport("control bell"))?;
-    // The listener first: whoever can open the control service can ring.
-    let bell = event.listener_builder().create().map_err(transport("control bell port"))?;
-    let port = service
-        .server_builder()
-        .initial_max_slice_len(MAX_MESSAGE)
-        .max_loaned_responses_per_request(1)
-        .create()
-        .map_err(transport("control port"))?;
-    Ok((port, bell))
-}
-
 /// The sessions, and what is needed to open more.
 struct Host {
     desk: Desk,
@@ -140,7 +92,7 @@ struct Host {
 }
 
 impl Host {
-    fn answer(&mut self, request: RawRequest) {
+    fn answer(&mut self, request: Request) {
         // The client could still write to what it sent: judge a copy.
         let header = *request.user_header();
         let payload = request.payload().to_vec();
@@ -164,7 +116,7 @@ impl Host {
                 ControlReply::Done
             }
         };
-        reply(&request, &result);
+        ports::reply(&request, &result);
     }
 
     fn judge(&mut self, header: &Header, payload: &[u8]) -> Answer {
@@ -200,7 +152,7 @@ impl Host {
     }
 
     /// Closes the sessions of dead clients and removes what they left.
-    fn sweep(&mut self, watch: Option<&mut PrivateWatch>) {
+    fn sweep(&mut self, watch: &mut Watch) {
         let Some(census) = Census::take(&self.ground.node) else { return };
         let over = self.sessions.extract_if(.., |id, handle| {
             let alive = census.has(handle.client().node);
@@ -215,8 +167,8 @@ impl Host {
         if census.deaths {
             self.ground.node.try_cleanup_dead_nodes();
         }
-        if let Some(why) = watch.and_then(|watch| watch.verdict(census.clients())) {
-            tracing::info!(why, "the private server ends");
+        if let Some(why) = watch.verdict(census.clients()) {
+            tracing::info!(why, "the server ends");
             self.stop.set();
         }
     }
@@ -247,25 +199,5 @@ impl Host {
             sessions: self.sessions.values().map(SessionHandle::status).collect(),
             memory_bytes: self.used().total(),
         }
-    }
-}
-
-/// Sends a control reply. A client that is gone by now gets none.
-pub(super) fn reply(request: &RawRequest, reply: &ControlReply) {
-    let mut bytes = vec![0; MAX_MESSAGE];
-    let encoded = control::encode(reply, &mut bytes)
-        .or_else(|refusal| control::encode(&ControlReply::Refused(refusal), &mut bytes));
-    let Ok(length) = encoded else { return };
-    let sent = request.loan_slice(length).map_err(|error| format!("{error:?}")).and_then(
-        |mut response| {
-            response.payload_mut().copy_from_slice(&bytes[..length]);
-            let asked = request.user_header();
-            *response.user_header_mut() =
-                Header { length: length as u32, request: asked.request, ..Header::new(asked.kind) };
-            response.send().map_err(|error| format!("{error:?}"))
-        },
-    );
-    if let Err(error) = sent {
-        tracing::debug!(error, "a control reply was not delivered");
     }
 }

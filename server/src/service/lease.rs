@@ -11,7 +11,7 @@ use rustix::fd::OwnedFd;
 use rustix::process::{Pid, PidfdFlags, pidfd_open};
 use trocar_proto::endpoint::Node;
 
-use super::PrivateRule;
+use super::ServerConfig;
 
 /// How often the server looks.
 pub(super) const INTERVAL: Duration = Duration::from_millis(250);
@@ -56,19 +56,31 @@ impl Census {
     }
 }
 
-/// Watches for the end of a private server's reason to be.
+/// Watches for the end of a server's reason to be, if its configuration names one.
 #[derive(Debug)]
-pub(super) struct PrivateWatch {
-    rule: PrivateRule,
-    root: Option<OwnedFd>,
+pub(super) struct Watch {
+    followed: Option<Followed>,
+    linger: Option<Duration>,
     last_client: Instant,
 }
 
-impl PrivateWatch {
-    pub(super) fn new(rule: PrivateRule) -> Self {
-        let root = Pid::from_raw(rule.root.cast_signed())
-            .and_then(|pid| pidfd_open(pid, PidfdFlags::empty()).ok());
-        Self { rule, root, last_client: Instant::now() }
+/// The process whose end ends the server.
+#[derive(Debug)]
+enum Followed {
+    /// A descriptor of it, which becomes readable when it ends.
+    Process(OwnedFd),
+    /// It had ended before it could be watched.
+    Gone,
+}
+
+impl Watch {
+    pub(super) fn new(config: &ServerConfig) -> Self {
+        let followed = config.follow.map(|process| {
+            Pid::from_raw(process.cast_signed())
+                .and_then(|pid| pidfd_open(pid, PidfdFlags::empty()).ok())
+                .map_or(Followed::Gone, Followed::Process)
+        });
+        Self { followed, linger: config.linger, last_client: Instant::now() }
     }
 
     /// Why the server should end, if it should.
@@ -76,15 +88,17 @@ impl PrivateWatch {
         if clients > 0 {
             self.last_client = Instant::now();
         }
-        if self.last_client.elapsed() > self.rule.linger {
+        if self.linger.is_some_and(|linger| self.last_client.elapsed() > linger) {
             return Some("its last client is gone");
         }
-        let ended = match &self.root {
-            // The descriptor of a process becomes readable when the process ends.
-            Some(root) => poll(&mut [PollFd::new(root, PollFlags::IN)], Some(&Timespec::default()))
-                .is_ok_and(|ready| ready > 0),
-            None => true,
+        let ended = match &self.followed {
+            Some(Followed::Process(process)) => {
+                let mut polled = [PollFd::new(process, PollFlags::IN)];
+                poll(&mut polled, Some(&Timespec::default())).is_ok_and(|ready| ready > 0)
+            }
+            Some(Followed::Gone) => true,
+            None => false,
         };
-        ended.then_some("its root process has ended")
+        ended.then_some("the process it follows has ended")
     }
 }

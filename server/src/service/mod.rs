@@ -8,6 +8,7 @@
 //! | `lease.rs` | who is alive: reclaims what dead clients leave |
 //! | `session.rs` | one thread per session: waits for requests, answers them |
 //! | `batch.rs` | the environments of a session: reset, step, autoreset |
+//! | `ports.rs` | the ends of the transport: how services are made, what a reply is |
 //! | `rows.rs` | the arrays of a reply, row by row |
 //! | `scheduler.rs` | turns: which session's environments run on which threads |
 //!
@@ -18,6 +19,7 @@ mod batch;
 mod control;
 mod desk;
 mod lease;
+mod ports;
 mod rows;
 mod scheduler;
 mod session;
@@ -28,6 +30,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 use trocar_proto::endpoint::{Endpoint, Membership, ServerLock, ServerName, ServerState};
+use trocar_proto::{Code, Rejection};
 
 use crate::tasks::Registry;
 
@@ -49,17 +52,10 @@ pub struct ServerConfig {
     pub memory_bytes: u64,
     /// A session that sends nothing for so long is closed.
     pub idle_limit: Duration,
-    /// Set for the private server of a process tree.
-    pub private: Option<PrivateRule>,
-}
-
-/// When a private server ends by itself.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct PrivateRule {
     /// The process whose end ends the server.
-    pub root: u32,
-    /// How long the server outlives its last client.
-    pub linger: Duration,
+    pub follow: Option<u32>,
+    /// How long the server outlives its last client; for ever if `None`.
+    pub linger: Option<Duration>,
 }
 
 impl ServerConfig {
@@ -71,7 +67,8 @@ impl ServerConfig {
             max_envs: 4096,
             memory_bytes: 1 << 30,
             idle_limit: Duration::from_hours(1),
-            private: None,
+            follow: None,
+            linger: None,
         }
     }
 }
@@ -105,9 +102,9 @@ pub enum ServeError {
         /// The other server's process id, in its own process namespace.
         pid: u32,
     },
-    /// The configuration asks for something impossible.
+    /// The configuration asks for something impossible, or shared memory failed.
     #[error(transparent)]
-    Config(#[from] trocar_proto::Rejection),
+    Refused(#[from] Rejection),
     /// The folder or the lock file failed.
     #[error("{path}: {source}")]
     Folder {
@@ -119,9 +116,6 @@ pub enum ServeError {
     /// Threads could not be started.
     #[error("threads: {0}")]
     Threads(String),
-    /// Shared memory or its bookkeeping failed.
-    #[error("shared memory: {0}")]
-    Transport(String),
 }
 
 /// Serves the tasks of `registry` until `stop` is set, a client asks for it, or the private rule
@@ -141,9 +135,13 @@ pub fn serve(
     let membership = endpoint.join().map_err(folder)?;
     let lock = take_lock(&membership, epoch).map_err(folder)?;
     let lock = lock.map_err(|pid| ServeError::NameInUse { name: config.name.to_string(), pid })?;
-    let node = Arc::new(membership.node().map_err(transport("node"))?);
-    // A predecessor may have died while its clients live: what it left goes first.
+    let node = Arc::new(membership.node().map_err(internal("node"))?);
+    // A predecessor may have died while its clients live: what it left goes first. So does what
+    // nobody uses under other names: those of private servers are not used again.
     node.try_cleanup_dead_nodes();
+    for other in Endpoint::all().map_err(folder)? {
+        other.remove_if_unused().ok();
+    }
     let served = control::run(Arc::new(registry), config, &lock, &node, stop, ready);
     node.try_cleanup_dead_nodes();
     drop(node);
@@ -181,6 +179,7 @@ fn raise_file_limit() {
     }
 }
 
-fn transport<E: std::fmt::Debug>(what: &'static str) -> impl FnOnce(E) -> ServeError {
-    move |error| ServeError::Transport(format!("{what}: {error:?}"))
+/// Names an operation of the transport that failed.
+fn internal<E: std::fmt::Debug>(what: &'static str) -> impl FnOnce(E) -> Rejection {
+    move |error| Rejection::new(Code::Internal, what, format!("{error:?}"), "see the server's log")
 }

@@ -13,6 +13,9 @@ use std::time::{Duration, Instant};
 /// How long a session may keep a thread while others wait.
 const TURN: Duration = Duration::from_millis(1);
 
+/// Work that is worth another thread: waking one up costs about half of it.
+const WORTH: Duration = Duration::from_micros(50);
+
 /// Work that can be cut in two anywhere.
 pub(crate) trait Divisible: Send + Sized {
     /// How many pieces there are.
@@ -58,7 +61,9 @@ impl Scheduler {
     pub(crate) fn run<W: Divisible>(&self, work: W, cost: &mut Duration) {
         let mut rest = work;
         while rest.len() > 0 {
-            let turn = self.acquire(rest.len());
+            let expected = cost.as_nanos().max(1) * rest.len() as u128;
+            let most = (expected / WORTH.as_nanos()).clamp(1, rest.len() as u128) as usize;
+            let turn = self.acquire(most);
             let threads = turn.threads;
             let slice = (TURN.as_nanos() / cost.as_nanos().max(1)).max(1) as usize;
             let count = slice.saturating_mul(threads).min(rest.len());

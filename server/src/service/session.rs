@@ -6,22 +6,18 @@ use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 use hdrhistogram::Histogram;
-use iceoryx2::port::listener::Listener;
-use iceoryx2::port::notifier::Notifier;
-use iceoryx2::port::server::Server as ServerPort;
-use iceoryx2::prelude::{Alignment, EventId, ServiceName};
+use iceoryx2::prelude::EventId;
 use trocar_proto::control::{
     self, ClientInfo, ControlReply, SessionInfo, SessionRequest, SessionStatus,
 };
-use trocar_proto::endpoint::{self, Node, Transport};
-use trocar_proto::wire::{
-    ALIGNMENT, Header, MAX_HELD_REPLIES, MAX_IN_FLIGHT, ReplyLayout, RequestLayout, flag, kind,
-};
+use trocar_proto::endpoint::Node;
+use trocar_proto::wire::{Header, ReplyLayout, RequestLayout, flag, kind};
 use trocar_proto::{Code, Rejection};
 
 use super::batch::{Batch, Deed};
-use super::control::{RawRequest, reply};
 use super::desk::{self, Footprint};
+use super::internal;
+use super::ports::{self, DataPorts, Request};
 use super::rows::Rows;
 use super::scheduler::Scheduler;
 use crate::tasks::Registry;
@@ -32,8 +28,6 @@ const SLICE: Duration = Duration::from_millis(100);
 /// How long a session offers its core to others before it sleeps: a client that answers at once
 /// then needs no wake-up. Longer would keep a core from those that could use it.
 const OFFER: Duration = Duration::from_micros(20);
-
-type Port = ServerPort<Transport, [u8], Header, [u8], Header>;
 
 /// What all sessions of a server share.
 pub(super) struct Ground {
@@ -80,7 +74,7 @@ pub(super) fn open(
     wanted: SessionRequest,
     client: ClientInfo,
     footprint: Footprint,
-    request: RawRequest,
+    request: Request,
 ) -> Option<SessionHandle> {
     let shared = Arc::new(Shared {
         id,
@@ -98,11 +92,11 @@ pub(super) fn open(
         let Some((wanted, request)) = parcel else { return };
         match Session::open(ground, inner, &wanted) {
             Ok((session, info)) => {
-                reply(&request, &ControlReply::Opened(info));
+                ports::reply(&request, &ControlReply::Opened(info));
                 drop(request);
                 session.run();
             }
-            Err(refusal) => reply(&request, &ControlReply::Refused(refusal)),
+            Err(refusal) => ports::reply(&request, &ControlReply::Refused(refusal)),
         }
     });
     match thread {
@@ -111,7 +105,7 @@ pub(super) fn open(
             let refusal = internal("thread")(error);
             if let Some((_, request)) = parcel.lock().unwrap_or_else(PoisonError::into_inner).take()
             {
-                reply(&request, &ControlReply::Refused(refusal));
+                ports::reply(&request, &ControlReply::Refused(refusal));
             }
             None
         }
@@ -164,9 +158,7 @@ struct Session {
     batch: Batch,
     request_layout: RequestLayout,
     reply_layout: ReplyLayout,
-    port: Port,
-    bell: Listener<Transport>,
-    reply_bell: Notifier<Transport>,
+    ports: DataPorts,
     inbox: Inbox,
 }
 
@@ -192,43 +184,9 @@ impl Session {
         let reply_layout = ReplyLayout::new(envs, spec);
         let (epoch, id) = (ground.epoch, shared.id);
         let info = SessionInfo { session: id, epoch, envs: wanted.envs, spec: (**spec).clone() };
-        let alignment = Alignment::new(ALIGNMENT).expect("a power of two");
-        let service = ground
-            .node
-            .service_builder(&service_name(&endpoint::data_service(epoch, id)))
-            .request_response::<[u8], [u8]>()
-            .request_user_header::<Header>()
-            .response_user_header::<Header>()
-            .request_payload_alignment(alignment)
-            .response_payload_alignment(alignment)
-            .max_servers(1)
-            .max_clients(1)
-            .max_nodes(2)
-            .max_active_requests_per_client(MAX_IN_FLIGHT)
-            .max_loaned_requests(1)
-            .max_response_buffer_size(1)
-            .max_borrowed_responses_per_pending_response(MAX_HELD_REPLIES)
-            .enable_safe_overflow_for_requests(false)
-            .enable_safe_overflow_for_responses(false)
-            .enable_fire_and_forget_requests(false)
-            .create()
-            .map_err(internal("data service"))?;
-        let bell = |name: String| {
-            let service = ground.node.service_builder(&service_name(&name)).event();
-            let service = service.max_listeners(1).max_notifiers(1).max_nodes(2).create();
-            service.map_err(internal("session bell"))
-        };
-        let request_bell = bell(endpoint::request_bell(epoch, id))?;
-        let reply_bell = bell(endpoint::reply_bell(epoch, id))?;
+        let ports = DataPorts::open(&ground.node, epoch, id, reply_layout.bytes)?;
         let session = Self {
-            port: service
-                .server_builder()
-                .initial_max_slice_len(reply_layout.bytes)
-                .max_loaned_responses_per_request(1)
-                .create()
-                .map_err(internal("data port"))?,
-            bell: request_bell.listener_builder().create().map_err(internal("request bell"))?,
-            reply_bell: reply_bell.notifier_builder().create().map_err(internal("reply bell"))?,
+            ports,
             inbox: Inbox {
                 env_ids: vec![0; envs],
                 actions: vec![0.0; envs * action_dim],
@@ -248,7 +206,7 @@ impl Session {
         tracing::debug!(session = id, task, envs, pid = self.shared.client.pid, "session opened");
         let mut active = Instant::now();
         while !self.shared.stop.load(Ordering::Acquire) {
-            match self.port.receive() {
+            match self.ports.port.receive() {
                 Ok(Some(request)) => {
                     let start = Instant::now();
                     let steps = self.answer(&request);
@@ -263,11 +221,11 @@ impl Session {
                         tracing::info!(session = id, "closed at the idle limit");
                         return;
                     }
-                    self.bell.timed_wait(|_| {}, SLICE).ok();
+                    self.ports.bell.timed_wait(|_| {}, SLICE).ok();
                 }
                 Err(error) => {
                     tracing::warn!(session = id, ?error, "a request was not received");
-                    self.bell.timed_wait(|_| {}, SLICE).ok();
+                    self.ports.bell.timed_wait(|_| {}, SLICE).ok();
                 }
             }
         }
@@ -275,7 +233,7 @@ impl Session {
     }
 
     /// Answers one request; returns the number of environments that it moved on.
-    fn answer(&mut self, request: &RawRequest) -> u64 {
+    fn answer(&mut self, request: &Request) -> u64 {
         let asked = *request.user_header();
         let mut response = match request.loan_slice(self.reply_layout.bytes) {
             Ok(response) => response,
@@ -305,7 +263,7 @@ impl Session {
         if let Err(error) = response.send() {
             tracing::debug!(session = self.shared.id, ?error, "a reply was not delivered");
         }
-        self.reply_bell.notify_with_custom_event_id(EventId::new(0)).ok();
+        self.ports.reply_bell.notify_with_custom_event_id(EventId::new(0)).ok();
         steps
     }
 
@@ -401,12 +359,4 @@ impl Pace {
         }
         self.steps_per_second
     }
-}
-
-fn service_name(name: &str) -> ServiceName {
-    name.try_into().expect("names of services are short")
-}
-
-fn internal<E: std::fmt::Debug>(what: &'static str) -> impl FnOnce(E) -> Rejection {
-    move |error| Rejection::new(Code::Internal, what, format!("{error:?}"), "see the server's log")
 }

@@ -1,4 +1,4 @@
-//! The Rust client of the demonstration; `client-py/examples/demo_worker.py` is its twin.
+//! The Rust client of the demonstration; `worker.py` is its twin.
 
 use std::time::{Duration, Instant};
 

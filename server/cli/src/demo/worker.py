@@ -1,4 +1,4 @@
-"""The Python client of ``make demo``; ``server/cli/src/demo/client.rs`` is its twin.
+"""The Python client of ``make demo``; ``client.rs`` is its twin.
 
 It says when it is ready, begins at a line on stdin, lets the scripted expert act in many
 environments of a server, and reports its counts as JSON lines.
@@ -28,9 +28,7 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, required=True, help="how long to work")
     args = parser.parse_args()
 
-    envs = gym.make_vec(
-        f"trocar/{args.task}", num_envs=args.envs, server=args.server, expert=True
-    )
+    envs = gym.make_vec(f"trocar/{args.task}", num_envs=args.envs, server=args.server, expert=True)
     _, infos = envs.reset(seed=args.seed)
     report(done=False, seconds=0.0, episodes=0, successes=0, steps=0, latencies=[])
     sys.stdin.readline()
