@@ -92,6 +92,9 @@ fn documented_as_constant((id, options): &(String, Options), element: &Element) 
         "NeedleReach-v0" => {
             element.name == "jaw" || (paper && element.name.starts_with("wrist link"))
         }
+        "NeedlePick-v0" => {
+            paper && ["wrist link roll", "wrist link pitch"].contains(&element.name.as_str())
+        }
         "EcmReach-v0" => paper && element.name == "camera yaw",
         _ => false,
     }
@@ -122,6 +125,7 @@ fn dimensions_are_those_of_the_paper() {
         (spec.action_dim(), spec.observation_dim(), spec.goal_dim(), spec.max_steps)
     };
     assert_eq!(dims("NeedleReach-v0"), (5, 7, 3, 50));
+    assert_eq!(dims("NeedlePick-v0"), (5, 19, 3, 50));
     assert_eq!(dims("EcmReach-v0"), (3, 6, 3, 50));
 }
 
@@ -154,7 +158,9 @@ fn what_is_seen_is_within_its_bounds_and_not_constant() {
                 if env.needs_reset() {
                     break;
                 }
-                env.step(&actions.next(&spec)).unwrap();
+                // Half of the episodes are the expert's: objects that lie still are moved by it.
+                let random = actions.next(&spec);
+                env.step(if episode % 2 == 0 { &random } else { &seen.expert }).unwrap();
             }
         }
         for (range, element) in ranges.iter().zip(&spec.observation) {
@@ -211,11 +217,18 @@ fn episodes_are_keyed_by_seed_and_number() {
 }
 
 #[test]
-fn the_expert_succeeds_on_all_of_200_seeds() {
+fn the_expert_succeeds() {
+    let soak = std::env::var_os("TROCAR_SOAK").is_some();
     for variant in variants() {
         let mut env = make(&variant);
+        // What is only reached for is reached always; what is grasped may be lost.
+        let (seeds, may_fail) = match (variant.0.contains("Reach"), soak) {
+            (true, _) => (200, 0),
+            (false, true) => (500, 25),
+            (false, false) => (20, 1),
+        };
         let mut failed = vec![];
-        for seed in 0..200 {
+        for seed in 0..seeds {
             env.reset(Some(seed));
             let mut last = None;
             while !env.needs_reset() {
@@ -225,7 +238,10 @@ fn the_expert_succeeds_on_all_of_200_seeds() {
                 failed.push(seed);
             }
         }
-        assert_eq!(failed, [], "{variant:?}");
+        if soak {
+            eprintln!("{variant:?}: {} of {seeds} seeds failed: {failed:?}", failed.len());
+        }
+        assert!(failed.len() <= may_fail, "{variant:?}: {failed:?}");
     }
 }
 
@@ -389,7 +405,9 @@ fn nothing_explodes_under_adversarial_actions() {
                 let now = Seen::of(&env);
                 let pairs = now.achieved.iter().zip(&before.achieved);
                 let moved = pairs.map(|(a, b)| (a - b) * (a - b)).sum::<f32>().sqrt() / metres;
-                assert!(moved < 0.05, "{variant:?}: the achieved goal jumps by {moved} m");
+                // An object that slips out of the jaws may fly at 1.5 m/s.
+                let most = if variant.0.contains("Reach") { 0.05 } else { 0.3 };
+                assert!(moved < most, "{variant:?}: the achieved goal jumps by {moved} m");
                 before = now;
             }
         }
@@ -414,9 +432,12 @@ fn randomised_domains_are_drawn_by_episode() {
             let (noisy, exact) = (Seen::of(&env), Seen::of(&plain));
             assert_eq!(noisy.desired, exact.desired, "the episode itself is the same");
             assert_ne!(noisy.observation, exact.observation);
-            assert_ne!(noisy.achieved, exact.achieved, "encoder errors move the arm");
             assert!((noisy.observation[0] - exact.observation[0]).abs() < 0.01);
-            offsets.push(noisy.achieved[0].to_bits());
+            offsets.push(noisy.observation[0].to_bits());
+            if !id.contains("Reach") {
+                continue; // what is achieved is not the arm's
+            }
+            assert_ne!(noisy.achieved, exact.achieved, "encoder errors move the arm");
             let held = noisy.achieved.clone();
             env.step(&vec![-1.0; env.spec().action_dim()]).unwrap();
             assert_eq!(Seen::of(&env).achieved, held, "no command has arrived yet");
@@ -432,9 +453,10 @@ fn randomised_domains_are_drawn_by_episode() {
 
 #[test]
 fn a_moved_arm_shows_and_does_the_same() {
-    let setups: [(&str, &[Row]); 3] = [
+    let setups: [(&str, &[Row]); 4] = [
         ("NeedleReach-v0", &[("table_height", &[0.67])]),
         ("NeedleReach-v0", &[("base", &[0.06, 0.25, 0.845, -1.9]), ("table_height", &[0.672])]),
+        ("NeedlePick-v0", &[("table_height", &[0.67])]),
         ("EcmReach-v0", &[("base", &[-0.04, 0.01, 1.01, 0.5])]),
     ];
     for (id, rows) in setups {

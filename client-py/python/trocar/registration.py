@@ -12,6 +12,7 @@ NAMESPACE = "trocar"
 # truncates at the same one, so it changes nothing.
 TASKS = {
     "NeedleReach-v0": 50,
+    "NeedlePick-v0": 50,
     "EcmReach-v0": 50,
 }
 

@@ -162,7 +162,7 @@ fn a_rollout_gives_the_same_numbers_in_a_server_and_however_batched() {
         ]
         .map(|arguments| {
             let mut rows = json_lines(&run(&arguments));
-            assert_eq!(rows.len(), 2);
+            assert_eq!(rows.len(), 3);
             for row in &mut rows {
                 assert!(row["steps_per_second"].as_f64().unwrap() > 0.0);
                 row.as_object_mut().unwrap().remove("steps_per_second");

@@ -1,17 +1,25 @@
-//! A PSM instrument in the world: wrist and two jaw fingers, driven along smooth paths.
+//! A PSM instrument in the world: a wrist driven along smooth paths, and two fingers.
 //!
-//! Within an environment step the wrist follows a smoothstep profile, so its velocity is
-//! continuous and zero at both ends. Two rules belong to the model's definition:
+//! Within an environment step wrist and jaw angle follow a smoothstep profile, so their velocity is
+//! continuous and zero at both ends. Fingers that grip are bodies of their own on hinges: what they
+//! hold, they hold by friction. Their motors keep them at equal angles on both sides of the wrist,
+//! as the real jaws' gearing does, and drive that angle with no more than the grip's squeeze. Fingers
+//! that are locked are driven like the wrist, and nothing moves them.
+//!
+//! Two rules belong to the model's definition:
 //!
 //! - **Yield**: where an object that is in the way pushes back too hard or is pressed into what is
 //!   behind it, the instrument goes back along its path instead of forward; just before, it waits.
-//! - **Quiescence**: while every free object sleeps and the instrument's swept volume meets none,
-//!   the instrument moves and no substep runs, since nothing else would change.
+//! - **Quiescence**: while every free object sleeps, the jaws are as open as they should be, and the
+//!   instrument's swept volume meets no object (and, where it grips, no furniture), the instrument
+//!   moves and no substep runs, since nothing else would change.
 
-use nalgebra::{Point3, UnitQuaternion, Vector3};
+use nalgebra::{Point3, Unit, UnitQuaternion, Vector3};
 
 use super::frames::{self, Aabb, Pose};
-use super::world::{BodyId, Motion, Part, Push, Shape, World};
+use super::world::{
+    BodyId, Hinge, HingedId, Motion, Part, Push, SUBSTEPS_PER_SECOND, Shape, World,
+};
 use crate::robots::Psm;
 
 /// From the wrist-yaw axis to the tip of the closed jaws, m, along the approach axis (the z axis
@@ -36,6 +44,13 @@ const YIELD_FORCE: f64 = 2.5;
 /// [`YIELD_FORCE`].
 const YIELD_OVERLAP: f64 = 0.05e-3;
 
+/// Overlap beyond which locked jaws wait, m.
+const HOLD_OVERLAP_LOCKED: f64 = 0.5 * YIELD_OVERLAP;
+
+/// Overlap beyond which gripping jaws wait, m: in one substep they move by up to 0.5 mm, as much as
+/// the radius of a needle's wire.
+const HOLD_OVERLAP_GRIPPING: f64 = 0.01e-3;
+
 /// Distance at which an object counts as met, m: more than the engine's contact prediction
 /// (0.2 mm) and than the bulge of the path of a jaw tip that turns by 50°.
 const MARGIN: f64 = 1e-3;
@@ -53,12 +68,24 @@ const CLEVIS_LENGTH: f64 = 0.0091;
 /// Friction coefficient of the jaws' serrated metal, as in the original.
 const FRICTION: f64 = 1.0;
 
+/// Mass of a finger, kg. Source: the original.
+const FINGER_MASS: f64 = 0.02;
+
+/// Where a finger's turning ends, rad: 0 is closed.
+const FINGER_LIMITS: [f64; 2] = [-0.03, 0.8];
+
+/// From the hinge to where an object is gripped, m: the tip less 1 mm.
+const LEVER: f64 = TIP_OFFSET - 1e-3;
+
+/// Difference of the jaws' opening from the commanded one up to which they count as there, rad.
+const AT_REST: f64 = 0.01;
+
 /// Where an instrument is and how far its jaws are open.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Posture {
     /// The wrist-yaw frame of dVRK's `measured_cp`: z along the jaws, x along their hinge.
     pub world_from_wrist: Pose,
-    /// Opening between the fingers, rad.
+    /// Opening between the fingers that is asked for, rad.
     pub jaw: f64,
 }
 
@@ -68,16 +95,11 @@ impl Posture {
         self.world_from_wrist * Pose::translation(0.0, 0.0, TIP_OFFSET)
     }
 
-    /// Between this posture (0) and another (1).
-    fn towards(&self, end: &Self, fraction: f64) -> Self {
-        Self {
-            world_from_wrist: frames::interpolate(
-                &self.world_from_wrist,
-                &end.world_from_wrist,
-                fraction,
-            ),
-            jaw: self.jaw + (end.jaw - self.jaw) * fraction,
-        }
+    /// The way of the wrist from this posture (0) to another (1), and that of the jaw angle.
+    fn towards(&self, end: &Self, wrist: f64, jaw: f64) -> Self {
+        let world_from_wrist =
+            frames::interpolate(&self.world_from_wrist, &end.world_from_wrist, wrist);
+        Self { world_from_wrist, jaw: self.jaw + (end.jaw - self.jaw) * jaw }
     }
 
     /// The finger of side −1 or +1: it turns by half the opening.
@@ -97,100 +119,227 @@ impl Posture {
     }
 }
 
-/// How far the lowest point of an instrument with closed jaws lies below its wrist, m.
-pub fn depth_below_wrist(world_from_wrist: &UnitQuaternion<f64>) -> f64 {
-    let pose = Pose::from_parts(Vector3::zeros().into(), *world_from_wrist);
-    -Posture { world_from_wrist: pose, jaw: JAW_CLOSED }.aabb().min.z
-}
-
 /// The bodies of an instrument and where they are.
 #[derive(Debug, Clone)]
 pub struct Instrument {
     wrist: BodyId,
-    fingers: [BodyId; 2],
+    fingers: Fingers,
     posture: Posture,
+    /// Whether the bodies in the world are where they were before the instrument moved without
+    /// substeps.
+    stale: bool,
+}
+
+/// The bodies of the fingers.
+#[derive(Debug, Clone)]
+enum Fingers {
+    /// Driven along with the wrist.
+    Locked([BodyId; 2]),
+    /// On hinges with motors, whose target is up to `deflection` (rad) from the fingers' mean angle
+    /// where they squeeze.
+    Gripping { fingers: [HingedId; 2], deflection: f64 },
 }
 
 impl Instrument {
-    /// Puts an instrument into the world.
-    pub fn insert(world: &mut World, posture: Posture) -> Self {
+    /// Puts an instrument into the world whose fingers squeeze with `squeeze` each, N; where that
+    /// is infinite, the jaws are locked at the angle that is asked for.
+    pub fn insert(world: &mut World, posture: Posture, squeeze: f64) -> Self {
         let [a, b] = clevis_ends();
         let clevis = Part {
             body_from_part: Pose::identity(),
             shape: Shape::Capsule { a, b, radius: CLEVIS_RADIUS },
         };
         let wrist = world.insert(Motion::Driven, &posture.world_from_wrist, FRICTION, &[clevis]);
-        let fingers = SIDES.map(|side| {
-            let finger = Part {
-                body_from_part: Pose::from(finger_box(side).centre()),
-                shape: Shape::Cuboid(FINGER_HALF),
-            };
-            world.insert(Motion::Driven, &posture.world_from_finger(side), FRICTION, &[finger])
-        });
-        Self { wrist, fingers, posture }
+        let finger = |side| Part {
+            body_from_part: Pose::from(finger_box(side).centre()),
+            shape: Shape::Cuboid(FINGER_HALF),
+        };
+        let fingers = if squeeze.is_finite() {
+            Fingers::Gripping {
+                fingers: SIDES
+                    .map(|side| world.insert_hinged(wrist, &hinge(side), &[finger(side)])),
+                deflection: hinge(SIDES[0]).deflection(squeeze * LEVER),
+            }
+        } else {
+            Fingers::Locked(SIDES.map(|side| {
+                let pose = posture.world_from_finger(side);
+                world.insert(Motion::Driven, &pose, FRICTION, &[finger(side)])
+            }))
+        };
+        Self { wrist, fingers, posture, stale: true }
     }
 
-    /// Where it is.
+    /// Where it is, with the jaw angle that is asked for.
     pub fn posture(&self) -> &Posture {
         &self.posture
+    }
+
+    /// How far the jaws are open, rad: more than asked for where they hold something.
+    pub fn opening(&self, world: &World) -> f64 {
+        match &self.fingers {
+            Fingers::Gripping { fingers, .. } if !self.stale => opening(world, fingers),
+            _ => self.posture.jaw,
+        }
+    }
+
+    /// Whether both fingers press on `object`.
+    pub fn holds(&self, world: &World, object: BodyId) -> bool {
+        !self.stale && self.finger_bodies().iter().all(|finger| world.touch(*finger, object))
+    }
+
+    /// How far its lowest point lies below a wrist of this orientation, m, however far the jaws can
+    /// be open.
+    pub fn depth_below_wrist(&self, world_from_wrist: &UnitQuaternion<f64>) -> f64 {
+        /// A finger turns by 2.5° from one opening looked at to the next: less than 3 µm are missed.
+        const OPENINGS: u32 = 8;
+        let world_from_wrist = Pose::from_parts(Vector3::zeros().into(), *world_from_wrist);
+        let depth = |jaw: f64| -Posture { world_from_wrist, jaw }.aabb().min.z;
+        match self.fingers {
+            Fingers::Locked(_) => depth(self.posture.jaw),
+            Fingers::Gripping { .. } => (0..=OPENINGS)
+                .map(|index| f64::from(index) / f64::from(OPENINGS))
+                .map(|part| depth(JAW_CLOSED + (JAW_OPEN - JAW_CLOSED) * part))
+                .fold(f64::NEG_INFINITY, f64::max),
+        }
     }
 
     /// Sets where it is, at once.
     pub fn place(&mut self, posture: Posture) {
         self.posture = posture;
+        self.stale = true;
     }
 
-    /// Moves to `end` within `substeps` substeps and returns how far along it got, from 0 to 1:
-    /// less than 1 where it yielded.
+    /// Moves to `end` within `substeps` substeps and returns how far along the wrist got, from 0
+    /// to 1: less than 1 where it yielded.
     pub fn travel(&mut self, world: &mut World, end: Posture, substeps: u32) -> f64 {
         let start = self.posture;
-        let along = |done: u32| start.towards(&end, smoothstep(done, substeps));
+        let along = |done: u32, now: u32| {
+            start.towards(&end, smoothstep(done, substeps), smoothstep(now, substeps))
+        };
         let mut done = 0;
         let mut push = Push::NONE;
-        for _ in 0..substeps {
-            if world.at_rest() {
+        for now in 1..=substeps {
+            if world.at_rest() && self.jaws_rest(world) {
                 push = Push::NONE;
-                if !world.object_in(&swept(&self.posture, &end)) {
+                if self.has_free_way(world, &end) {
                     self.posture = end;
+                    self.stale = true;
                     return 1.0;
                 }
-                let next = along(done + 1);
-                if !world.object_in(&swept(&self.posture, &next)) {
+                let next = along(done + 1, now);
+                if self.has_free_way(world, &next) {
                     done += 1;
                     self.posture = next;
+                    self.stale = true;
                     continue;
                 }
             }
-            done = match resistance(&push, &start, &end) {
+            let resistance = match self.fingers {
+                Fingers::Locked(_) => resistance(&push, &start, &end, HOLD_OVERLAP_LOCKED),
+                Fingers::Gripping { .. } => {
+                    let next = along(done + 1, now);
+                    resistance(&push, &self.posture, &next, HOLD_OVERLAP_GRIPPING)
+                }
+            };
+            done = match resistance {
                 Resistance::None => done + 1,
                 Resistance::Holds => done,
                 Resistance::Drives => done.saturating_sub(1),
             };
-            self.drive(world, along(done));
+            self.drive(world, along(done, now));
             push = self.push(world);
         }
         smoothstep(done, substeps)
     }
 
+    fn jaws_rest(&self, world: &World) -> bool {
+        (self.opening(world) - self.posture.jaw).abs() < AT_REST
+    }
+
+    fn has_free_way(&self, world: &World, to: &Posture) -> bool {
+        let swept = self.posture.aabb().merged(&to.aabb());
+        let meets_furniture = match self.fingers {
+            Fingers::Locked(_) => false, // nothing fixed moves what is driven
+            Fingers::Gripping { .. } => world.furniture_in(&swept),
+        };
+        !world.object_in(&swept.grown(MARGIN)) && !meets_furniture
+    }
+
+    fn finger_bodies(&self) -> [BodyId; 2] {
+        match &self.fingers {
+            Fingers::Locked(fingers) => *fingers,
+            Fingers::Gripping { fingers: [left, right], .. } => [left.body(), right.body()],
+        }
+    }
+
     /// Lets one substep pass in which the instrument goes to `next`.
     fn drive(&mut self, world: &mut World, next: Posture) {
-        let bodies = [self.wrist, self.fingers[0], self.fingers[1]];
-        let poses = |posture: &Posture| {
-            let [left, right] = SIDES.map(|side| posture.world_from_finger(side));
-            [posture.world_from_wrist, left, right]
-        };
-        for (body, (now, next)) in bodies.iter().zip(poses(&self.posture).iter().zip(poses(&next)))
-        {
-            world.place(*body, now);
-            world.drive(*body, &next);
+        if self.stale {
+            self.put_bodies(world, &next);
+        }
+        world.drive(self.wrist, &next.world_from_wrist);
+        match &self.fingers {
+            Fingers::Locked(fingers) => {
+                for (finger, side) in fingers.iter().zip(SIDES) {
+                    world.drive(*finger, &next.world_from_finger(side));
+                }
+            }
+            Fingers::Gripping { fingers, deflection } => {
+                let mean = 0.5 * opening(world, fingers);
+                let target = (0.5 * next.jaw).clamp(mean - deflection, mean + deflection);
+                for finger in fingers {
+                    world.turn_hinged(finger, target);
+                }
+            }
         }
         world.step();
         self.posture = next;
     }
 
+    /// Puts the bodies where the instrument is, moving as it must to be at `next` a substep later.
+    fn put_bodies(&mut self, world: &mut World, next: &Posture) {
+        let (now, then) = (self.posture.world_from_wrist, next.world_from_wrist);
+        let velocity = (then.translation.vector - now.translation.vector) * SUBSTEPS_PER_SECOND;
+        let rate = (then.rotation * now.rotation.inverse()).scaled_axis() * SUBSTEPS_PER_SECOND;
+        world.place(self.wrist, &now);
+        for (index, side) in SIDES.into_iter().enumerate() {
+            let pose = self.posture.world_from_finger(side);
+            match &self.fingers {
+                Fingers::Locked(fingers) => world.place(fingers[index], &pose),
+                Fingers::Gripping { fingers, .. } => {
+                    world.place_hinged(&fingers[index], &pose, &velocity, &rate);
+                }
+            }
+        }
+        self.stale = false;
+    }
+
     fn push(&self, world: &World) -> Push {
-        let [left, right] = self.fingers;
-        world.push_on(self.wrist).with(world.push_on(left)).with(world.push_on(right))
+        let [left, right] = self.finger_bodies();
+        match self.fingers {
+            // Locked jaws cannot give way: what they squeeze counts as pressed.
+            Fingers::Locked(_) => {
+                let [left, right] = [left, right].map(|finger| world.push_on(&[finger]));
+                world.push_on(&[self.wrist]).with(left).with(right)
+            }
+            Fingers::Gripping { .. } => world.push_on(&[self.wrist, left, right]),
+        }
+    }
+}
+
+/// How far jaws are open whose fingers hang on hinges, rad.
+fn opening(world: &World, fingers: &[HingedId; 2]) -> f64 {
+    fingers.iter().map(|finger| world.hinge_angle(finger)).sum()
+}
+
+/// The hinge of the finger of a side: the angle grows as it opens.
+fn hinge(side: f64) -> Hinge {
+    Hinge {
+        axis: Unit::new_unchecked(Vector3::new(-side, 0.0, 0.0)),
+        limits: FINGER_LIMITS,
+        mass: FINGER_MASS,
+        inertia: FINGER_MASS * TIP_OFFSET * TIP_OFFSET / 3.0, // a rod about its end
+        friction: FRICTION,
     }
 }
 
@@ -208,10 +357,6 @@ fn clevis_ends() -> [Point3<f64>; 2] {
     [Point3::origin(), Point3::new(0.0, 0.0, -CLEVIS_LENGTH)]
 }
 
-fn swept(start: &Posture, end: &Posture) -> Aabb {
-    start.aabb().merged(&end.aabb()).grown(MARGIN)
-}
-
 /// What an object in the way does to a motion.
 enum Resistance {
     /// The motion goes on.
@@ -222,15 +367,15 @@ enum Resistance {
     Drives,
 }
 
-/// What `push` does to the motion from `start` to `end`.
-fn resistance(push: &Push, start: &Posture, end: &Posture) -> Resistance {
+/// What `push` does to the motion from `start` to `end`, which waits beyond an overlap of `hold`, m.
+fn resistance(push: &Push, start: &Posture, end: &Posture, hold: f64) -> Resistance {
     let end_from_start = end.world_from_wrist * start.world_from_wrist.inverse();
     let motion = end_from_start * push.point - push.point;
     let Some(direction) = motion.try_normalize(1e-9) else { return Resistance::None };
     let along = push.force.dot(&direction);
     if along < -YIELD_FORCE || (along < 0.0 && push.overlap > YIELD_OVERLAP) {
         Resistance::Drives
-    } else if along < 0.0 && push.overlap > 0.5 * YIELD_OVERLAP {
+    } else if along < 0.0 && push.overlap > hold {
         Resistance::Holds
     } else {
         Resistance::None
@@ -250,6 +395,9 @@ mod tests {
     use crate::sim::world::Solver;
 
     const SUBSTEPS: u32 = 48;
+
+    /// Of gripping and of locked jaws, N.
+    const SQUEEZES: [f64; 2] = [1.0, f64::INFINITY];
 
     /// Straight down, tip at `tip`.
     fn down(tip: [f64; 3]) -> Posture {
@@ -280,7 +428,11 @@ mod tests {
     fn jaws_point_along_z_and_reach_to_the_tip() {
         let posture = down([0.0; 3]);
         assert!(posture.world_from_tip().translation.vector.norm() < 1e-12);
-        assert!((depth_below_wrist(&posture.world_from_wrist.rotation) - TIP_OFFSET).abs() < 1e-12);
+        for squeeze in SQUEEZES {
+            let instrument = Instrument::insert(&mut World::new(Solver::LIGHT), posture, squeeze);
+            let depth = instrument.depth_below_wrist(&posture.world_from_wrist.rotation);
+            assert!((depth - TIP_OFFSET).abs() < 1e-12);
+        }
         let aabb = posture.aabb();
         assert!(aabb.min.z.abs() < 1e-12 && aabb.max.z > TIP_OFFSET + CLEVIS_LENGTH);
         let open = Posture { jaw: JAW_OPEN, ..posture };
@@ -289,46 +441,53 @@ mod tests {
 
     #[test]
     fn far_from_sleeping_objects_no_time_passes_for_them() {
-        let (mut world, wire) = pad_and_wire();
-        let before = world.pose(wire);
-        let mut instrument = Instrument::insert(&mut world, down([0.0, 0.0, 0.05]));
-        let end = down([0.01, 0.0, 0.04]);
-        assert_eq!(instrument.travel(&mut world, end, SUBSTEPS), 1.0);
-        assert_eq!(*instrument.posture(), end);
-        assert!(world.at_rest());
-        assert_eq!(world.pose(wire), before);
+        for squeeze in SQUEEZES {
+            let (mut world, wire) = pad_and_wire();
+            let before = world.pose(wire);
+            let mut instrument = Instrument::insert(&mut world, down([0.0, 0.0, 0.05]), squeeze);
+            let end = down([0.01, 0.0, 0.04]);
+            assert_eq!(instrument.travel(&mut world, end, SUBSTEPS), 1.0);
+            assert_eq!(*instrument.posture(), end);
+            assert!(world.at_rest());
+            assert_eq!(world.pose(wire), before);
+        }
     }
 
     #[test]
     fn a_wire_in_the_way_is_pushed_aside() {
-        let (mut world, wire) = pad_and_wire();
-        let mut instrument = Instrument::insert(&mut world, down([-0.008, 0.0, 0.1e-3]));
-        let end = down([0.002, 0.0, 0.1e-3]);
-        assert!(instrument.travel(&mut world, end, SUBSTEPS) > 0.95);
-        // The finger's flank is 0.9 mm from the tip's middle, the wire's axis 0.5 mm further.
-        let pushed = world.pose(wire).translation.vector;
-        let tip = instrument.posture().world_from_tip().translation.x;
-        assert!(pushed.x > tip + 0.9e-3 && pushed.x < 0.02, "{pushed}");
-        assert!(pushed.z > 0.4e-3 && pushed.z < 0.02);
+        for squeeze in SQUEEZES {
+            let (mut world, wire) = pad_and_wire();
+            let mut instrument =
+                Instrument::insert(&mut world, down([-0.008, 0.0, 0.1e-3]), squeeze);
+            let end = down([0.002, 0.0, 0.1e-3]);
+            assert!(instrument.travel(&mut world, end, SUBSTEPS) > 0.95);
+            // The finger's flank is 0.9 mm from the tip's middle, the wire's axis 0.5 mm further.
+            let pushed = world.pose(wire).translation.vector;
+            let tip = instrument.posture().world_from_tip().translation.x;
+            assert!(pushed.x > tip + 0.9e-3 && pushed.x < 0.02, "{pushed}");
+            assert!(pushed.z > 0.4e-3 && pushed.z < 0.02);
+        }
     }
 
     #[test]
     fn a_wire_under_the_tip_stops_it_and_is_not_pressed_through_the_pad() {
-        let (mut world, wire) = pad_and_wire();
-        let mut instrument = Instrument::insert(&mut world, down([0.0, 0.0, 5e-3]));
-        let mut fastest: f64 = 0.0;
-        for _ in 0..10 {
-            let reached = instrument.travel(&mut world, down([0.0, 0.0, CLEARANCE]), SUBSTEPS);
-            assert!(reached < 1.0);
-            fastest = fastest.max(world.velocity(wire).norm());
+        for squeeze in SQUEEZES {
+            let (mut world, wire) = pad_and_wire();
+            let mut instrument = Instrument::insert(&mut world, down([0.0, 0.0, 5e-3]), squeeze);
+            let mut fastest: f64 = 0.0;
+            for _ in 0..10 {
+                let reached = instrument.travel(&mut world, down([0.0, 0.0, CLEARANCE]), SUBSTEPS);
+                assert!(reached < 1.0);
+                fastest = fastest.max(world.velocity(wire).norm());
+            }
+            let tip = instrument.posture().world_from_tip().translation.z;
+            let height = world.pose(wire).translation.z;
+            assert!(height > 0.2e-3, "{height}");
+            assert!(tip > 0.5e-3 && tip < 1.2e-3, "{tip}");
+            assert!(fastest < 0.5, "{fastest}");
+            // It is free to leave.
+            assert_eq!(instrument.travel(&mut world, down([0.0, 0.0, 5e-3]), SUBSTEPS), 1.0);
         }
-        let tip = instrument.posture().world_from_tip().translation.z;
-        let height = world.pose(wire).translation.z;
-        assert!(height > 0.2e-3, "{height}");
-        assert!(tip > 0.5e-3 && tip < 1.2e-3, "{tip}");
-        assert!(fastest < 0.5, "{fastest}");
-        // It is free to leave.
-        assert_eq!(instrument.travel(&mut world, down([0.0, 0.0, 5e-3]), SUBSTEPS), 1.0);
     }
 
     #[test]

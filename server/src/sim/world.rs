@@ -13,6 +13,10 @@ use rapier3d::prelude::{
 
 use super::frames::{self, Aabb, Pose, SCALE};
 
+mod hinge;
+
+pub use hinge::{Hinge, HingedId};
+
 /// Acceleration of free fall, m/s².
 pub const GRAVITY: f64 = 9.81;
 
@@ -94,7 +98,7 @@ pub enum Motion {
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct BodyId(RigidBodyHandle);
 
-/// What free objects do to a driven body.
+/// What the rest of the world does to an instrument.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Push {
     /// Sum of the contact forces, N; a squeeze from two sides cancels.
@@ -103,7 +107,8 @@ pub struct Push {
     pub strongest: f64,
     /// Where that is; the origin where nothing touches.
     pub point: Point3<f64>,
-    /// Deepest overlap, with this or any other body, of an object that touches, m.
+    /// Deepest overlap of an object that touches, m; that with the bodies asked for does not count
+    /// where it squeezes the object from two sides.
     pub overlap: f64,
 }
 
@@ -116,7 +121,7 @@ impl Push {
         overlap: 0.0,
     };
 
-    /// What two bodies of one instrument feel together.
+    /// What two bodies feel together.
     #[must_use]
     pub fn with(self, other: Self) -> Self {
         let stronger = if other.strongest > self.strongest { other } else { self };
@@ -142,6 +147,7 @@ pub struct World {
     multibody_joints: MultibodyJointSet,
     soft_bodies: SoftBodySet,
     free: Vec<RigidBodyHandle>,
+    fixed: Vec<RigidBodyHandle>,
     workspace: Workspace,
 }
 
@@ -190,6 +196,7 @@ impl World {
             multibody_joints: MultibodyJointSet::new(),
             soft_bodies: SoftBodySet::new(),
             free: Vec::new(),
+            fixed: Vec::new(),
             workspace: Workspace::default(),
         }
     }
@@ -217,8 +224,10 @@ impl World {
                 .friction(friction as f32);
             self.colliders.insert_with_parent(collider, body, &mut self.bodies);
         }
-        if matches!(motion, Motion::Free { .. }) {
-            self.free.push(body);
+        match motion {
+            Motion::Free { .. } => self.free.push(body),
+            Motion::Fixed => self.fixed.push(body),
+            Motion::Driven => {}
         }
         BodyId(body)
     }
@@ -274,28 +283,35 @@ impl World {
 
     /// Whether the box of any part of a free object meets `region`.
     pub fn object_in(&self, region: &Aabb) -> bool {
-        self.free.iter().any(|body| {
-            let body = &self.bodies[*body];
-            body.colliders().iter().any(|handle| {
-                let collider = &self.colliders[*handle];
-                let body_from_part =
-                    collider.position_wrt_parent().expect("every collider belongs to a body");
-                let part = collider.shape().compute_aabb(&(*body.position() * *body_from_part));
-                let (min, max) = (part.mins, part.maxs);
-                region.meets(&Aabb {
-                    min: frames::from_engine_vector(min),
-                    max: frames::from_engine_vector(max),
-                })
+        self.free.iter().any(|body| self.meets(*body, region))
+    }
+
+    /// Whether the box of any part of a fixed body meets `region`.
+    pub fn furniture_in(&self, region: &Aabb) -> bool {
+        self.fixed.iter().any(|body| self.meets(*body, region))
+    }
+
+    fn meets(&self, body: RigidBodyHandle, region: &Aabb) -> bool {
+        let body = &self.bodies[body];
+        body.colliders().iter().any(|handle| {
+            let collider = &self.colliders[*handle];
+            let body_from_part =
+                collider.position_wrt_parent().expect("every collider belongs to a body");
+            let part = collider.shape().compute_aabb(&(*body.position() * *body_from_part));
+            let (min, max) = (part.mins, part.maxs);
+            region.meets(&Aabb {
+                min: frames::from_engine_vector(min),
+                max: frames::from_engine_vector(max),
             })
         })
     }
 
-    /// What free objects did to `body` in the last substep.
-    pub fn push_on(&self, body: BodyId) -> Push {
+    /// What the rest of the world did in the last substep to bodies of one instrument, taken as one.
+    pub fn push_on(&self, instrument: &[BodyId]) -> Push {
         // An engine force is SCALE³ (mass) · SCALE (length) of the real one.
         let newtons = SUBSTEPS_PER_SECOND / (SCALE * SCALE * SCALE);
         let mut push = Push::NONE;
-        for handle in self.bodies[body.0].colliders() {
+        for handle in instrument.iter().flat_map(|body| self.bodies[body.0].colliders()) {
             let collider = &self.colliders[*handle];
             for pair in self.narrow_phase.contact_pairs_with(*handle) {
                 // Contact normals point from the first collider to the second.
@@ -318,18 +334,42 @@ impl World {
                 }
                 if touches {
                     let object = if first { pair.collider2 } else { pair.collider1 };
-                    push.overlap = push.overlap.max(self.overlap_of(object));
+                    push.overlap = push.overlap.max(self.overlap_of(object, instrument));
                 }
             }
         }
         push
     }
 
-    /// Deepest overlap of any part of the body that `part` belongs to, m.
-    fn overlap_of(&self, part: ColliderHandle) -> f64 {
+    /// Whether two bodies pressed on each other in the last substep.
+    pub fn touch(&self, one: BodyId, other: BodyId) -> bool {
+        self.bodies[one.0].colliders().iter().any(|handle| {
+            self.narrow_phase.contact_pairs_with(*handle).any(|pair| {
+                let met = if pair.collider1 == *handle { pair.collider2 } else { pair.collider1 };
+                self.colliders[met].parent() == Some(other.0)
+                    && pair
+                        .manifolds()
+                        .iter()
+                        .flat_map(|each| &each.points)
+                        .any(|c| c.data.impulse > 0.0)
+            })
+        })
+    }
+
+    /// Deepest overlap of any part of the body that `part` belongs to, m; without that with the
+    /// bodies of `instrument` where these squeeze it.
+    fn overlap_of(&self, part: ColliderHandle, instrument: &[BodyId]) -> f64 {
         let body = self.colliders[part].parent().expect("every collider belongs to a body");
+        let touching = instrument.iter().filter(|each| self.touch(**each, BodyId(body)));
+        let is_squeezed = touching.count() > 1;
+        let is_instruments = |part: ColliderHandle| {
+            let parent = self.colliders[part].parent();
+            is_squeezed && instrument.iter().any(|body| Some(body.0) == parent)
+        };
         let parts = self.bodies[body].colliders().iter();
         let pairs = parts.flat_map(|part| self.narrow_phase.contact_pairs_with(*part));
+        let pairs =
+            pairs.filter(|pair| !is_instruments(pair.collider1) && !is_instruments(pair.collider2));
         let contacts = pairs.flat_map(ContactPair::manifolds).flat_map(|each| &each.points);
         contacts.fold(0.0, |deepest, contact| deepest.max(-f64::from(contact.dist) / SCALE))
     }
@@ -417,7 +457,7 @@ mod tests {
         for _ in 0..100 {
             world.step();
         }
-        let push = world.push_on(plate);
+        let push = world.push_on(&[plate]);
         assert!((push.force.z + 0.01 * GRAVITY).abs() < 0.002, "{push:?}");
         for _ in 0..140 {
             world.step();

@@ -3,6 +3,7 @@
 //! | task | in one line |
 //! |---|---|
 //! | [`needle_reach`] | the closed jaw tip of a PSM goes to a point just above a needle |
+//! | [`needle_pick`] | a PSM picks up a needle and brings it to a goal |
 //! | [`ecm_reach`] | the endoscope goes to a position |
 //!
 //! A task of one's own implements [`Task`] and is added by [`Registry::register`].
@@ -16,8 +17,11 @@ use crate::sim::world::World;
 
 pub mod ecm_reach;
 pub mod ecm_scene;
+pub mod needle_pick;
 pub mod needle_reach;
+pub mod objects;
 pub mod options;
+pub mod pick;
 pub mod psm_scene;
 pub mod tray;
 
@@ -88,6 +92,7 @@ impl Registry {
         let mut registry = Self::empty();
         registry.register::<needle_reach::NeedleReach>();
         registry.register::<ecm_reach::EcmReach>();
+        registry.register::<needle_pick::NeedlePick>();
         registry
     }
 

@@ -99,9 +99,6 @@ const GOAL_HEIGHT: f64 = 0.005;
 /// Distance below which the goal is reached, m. Source: the paper.
 const TOLERANCE: f64 = 0.005;
 
-/// `spawn = "narrow"`: how far the needle's circle is from the workspace's centre, m.
-const NARROW: f64 = 0.01;
-
 /// The expert rests within this distance of the goal, m, and moves by this part of a full action.
 /// Source: the original.
 const EXPERT_TOLERANCE: f64 = 0.003;
@@ -176,15 +173,12 @@ impl Task for NeedleReach {
 
     fn reset(&mut self, world: &mut World, rng: &mut Rng) {
         if self.narrow {
-            let centre = WORKSPACE.centre();
-            let x = centre.x + rng.uniform(-NARROW, NARROW);
-            let y = centre.y + rng.uniform(-NARROW, NARROW);
-            let yaw = rng.uniform(-std::f64::consts::FRAC_PI_2, std::f64::consts::FRAC_PI_2);
-            self.needle.lay(world, x, y, yaw);
+            self.needle.lay_near_the_middle(world, rng);
         } else {
             self.needle.lay_anywhere(world, rng);
         }
-        self.goal = self.needle.middle(world) + Vector3::z() * GOAL_HEIGHT;
+        let middle = self.needle.scene_from_middle(world).translation.vector;
+        self.goal = middle + Vector3::z() * GOAL_HEIGHT;
         self.arm.reset(rng);
     }
 
@@ -194,12 +188,12 @@ impl Task for NeedleReach {
 
     fn observe(
         &self,
-        _: &World,
+        world: &World,
         observation: &mut [f32],
         achieved: &mut [f32],
         desired: &mut [f32],
     ) {
-        self.arm.observe(observation);
+        self.arm.observe(world, observation);
         let scale = options::position_scale(self.preset);
         let tip = self.arm.tip();
         for axis in 0..3 {
@@ -233,7 +227,7 @@ mod tests {
         let (mut low, mut high) = (f64::INFINITY, f64::NEG_INFINITY);
         for seed in 0..500 {
             task.reset(&mut world, &mut Rng::new(seed, 0));
-            let middle = task.needle.middle(&world);
+            let middle = task.needle.scene_from_middle(&world).translation.vector;
             assert!((task.goal - middle - Vector3::new(0.0, 0.0, 0.005)).norm() < 1e-12);
             assert!((middle.z - tray::pad().max.z - 0.5e-3).abs() < 1e-6);
             assert!(WORKSPACE.meets(&Aabb::around([middle.into()])));

@@ -29,6 +29,11 @@ pub fn reward_of(options: &Options) -> Reward {
     if options.text("reward") == Some("dense") { Reward::Dense } else { Reward::Sparse }
 }
 
+/// `grasp`: what holds an object in the jaws.
+pub fn grasp() -> OptionSpec {
+    OptionSpec::choice("grasp", "interact: friction, and nothing else.", &["interact"])
+}
+
 /// What the numbers of an action mean.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum ActionMode {

@@ -30,7 +30,7 @@ use crate::robots::Psm;
 use crate::sim::frames::{self, Aabb, Pose};
 use crate::sim::instrument::{self, Instrument, JAW_CLOSED, JAW_OPEN, Posture, TIP_OFFSET};
 use crate::sim::random::Rng;
-use crate::sim::world::{SUBSTEPS_PER_SECOND, World};
+use crate::sim::world::{BodyId, SUBSTEPS_PER_SECOND, World};
 
 /// Simulated time of one step, s.
 pub const SECONDS_PER_STEP: f64 = 0.2;
@@ -67,6 +67,18 @@ pub const STEP_ANGLE: f64 = 30.0 * DEGREE;
 const JOINT_STEPS: [f64; 6] = [0.06, 0.06, 0.01, STEP_ANGLE, STEP_ANGLE, STEP_ANGLE];
 
 const DEGREE: f64 = PI / 180.0;
+
+/// Squeeze of jaws that no action opens, N: nothing pries them apart.
+const LOCKED: f64 = f64::INFINITY;
+
+/// Force with which each finger squeezes, N. What an engine's contact can bear grows with the mass of
+/// the object: 1 N holds real objects, 3 N the original's of 10 g.
+fn squeeze_of(preset: Preset) -> f64 {
+    match preset {
+        Preset::Paper => 1.0,
+        Preset::Surrol => 3.0,
+    }
+}
 
 /// What the `paper` action of a task moves besides the position.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -146,6 +158,7 @@ impl PsmArm {
             instrument: Instrument::insert(
                 world,
                 Posture { world_from_wrist: start, jaw: JAW_CLOSED },
+                if paper.jaw { squeeze_of(options::preset_of(options)) } else { LOCKED },
             ),
             joints: [0.0, 0.0, 0.1, 0.0, 0.0, 0.0],
             offsets: [0.0; 6],
@@ -183,6 +196,16 @@ impl PsmArm {
     /// The wrist as the joint sensors report it, scene frame.
     pub fn scene_from_wrist(&self) -> &Pose {
         &self.scene_from_wrist
+    }
+
+    /// How far the jaws are open, rad.
+    pub fn opening(&self, world: &World) -> f64 {
+        self.instrument.opening(world)
+    }
+
+    /// Whether both fingers press on `object`.
+    pub fn holds(&self, world: &World, object: BodyId) -> bool {
+        self.instrument.holds(world, object)
     }
 
     /// Moves the arm for one step under an action of its mode; it holds where there is none.
@@ -269,11 +292,12 @@ impl PsmArm {
 
     /// Writes what is observed of the arm: wrist position (3), extrinsic XYZ Euler angles of the
     /// wrist link (3), jaw angle.
-    pub fn observe(&self, observation: &mut [f32]) {
+    pub fn observe(&self, world: &World, observation: &mut [f32]) {
         let scale = options::position_scale(self.preset);
         let position = self.scene_from_wrist.translation.vector * scale;
         let angles = frames::euler_xyz(&(self.scene_from_wrist.rotation * wrist_from_link()));
-        let numbers = position.iter().chain(&angles).chain([&self.instrument.posture().jaw]);
+        let opening = self.instrument.opening(world);
+        let numbers = position.iter().chain(&angles).chain([&opening]);
         for (slot, number) in observation.iter_mut().zip(numbers) {
             *slot = *number as f32;
         }
@@ -324,7 +348,7 @@ impl PsmArm {
         let tip = wrist + jaws;
         let inside = REACH.clamp(&tip) - tip;
         let lowest = self.support + instrument::CLEARANCE;
-        let height = wrist.z.max(lowest + instrument::depth_below_wrist(&target.rotation));
+        let height = wrist.z.max(lowest + self.instrument.depth_below_wrist(&target.rotation));
         target.translation.vector = Vector3::new(wrist.x + inside.x, wrist.y + inside.y, height);
         target
     }
@@ -345,7 +369,7 @@ impl PsmArm {
         let mut joints = self.solve(&target)?;
         loop {
             let pose = self.true_pose(&joints);
-            let low = pose.translation.z - instrument::depth_below_wrist(&pose.rotation);
+            let low = pose.translation.z - self.instrument.depth_below_wrist(&pose.rotation);
             let missing = self.support + instrument::CLEARANCE - low;
             if missing <= ROUNDING {
                 return Some(joints);
@@ -388,7 +412,7 @@ fn straight_down(position: [f64; 3]) -> Pose {
 
 /// Orientation of a wrist whose jaws point straight down: Euler angles of the link (−90°, 0, 90°).
 /// Source: the original.
-fn down() -> UnitQuaternion<f64> {
+pub(super) fn down() -> UnitQuaternion<f64> {
     let scene_from_link = UnitQuaternion::from_euler_angles(-FRAC_PI_2, 0.0, FRAC_PI_2);
     scene_from_link * wrist_from_link().inverse()
 }
@@ -416,14 +440,14 @@ mod tests {
 
     #[test]
     fn the_start_is_the_originals() {
-        let (_, arm) = arm(&Options::new());
+        let (world, arm) = arm(&Options::new());
         // Joints that the original reports after its reset, to the digits it was read with.
         let original = [0.2505, -0.0078, 0.1068, -0.3389, -0.0776, -0.2386];
         for (found, expected) in arm.joints.iter().zip(original) {
             assert!((found - expected).abs() < 2e-3, "{:?}", arm.joints);
         }
         let mut seen = [0.0; PsmArm::OBSERVED];
-        arm.observe(&mut seen);
+        arm.observe(&world, &mut seen);
         let quarter = std::f32::consts::FRAC_PI_2;
         for (found, expected) in seen.iter().zip([0.5, 0.05, 0.7552, -quarter, 0.0, quarter, 0.0]) {
             assert!((found - expected).abs() < 1e-6, "{seen:?}");
@@ -469,7 +493,7 @@ mod tests {
                 let before = arm.tip();
                 arm.apply(&mut world, Some(&action));
                 let pose = arm.instrument.posture().world_from_wrist;
-                let low = pose.translation.z - instrument::depth_below_wrist(&pose.rotation);
+                let low = pose.translation.z - arm.instrument.depth_below_wrist(&pose.rotation);
                 lowest = lowest.min(low);
                 assert!(low > pad().max.z + instrument::CLEARANCE - 1e-7, "{mode}: {low}");
                 assert!((arm.tip() - before).norm() < 0.05, "{mode}: a jump");

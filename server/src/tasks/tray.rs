@@ -3,8 +3,6 @@
 
 use std::f64::consts::FRAC_PI_2;
 
-use nalgebra::Vector3;
-
 use super::options::Preset;
 use super::psm_scene::WORKSPACE;
 use crate::assets::Model;
@@ -17,6 +15,10 @@ const TABLE_ORIGIN: [f64; 3] = [0.5, 0.0, 0.001];
 
 /// Origin of the tray and of the pad in it, m. Source: the original.
 const TRAY_ORIGIN: [f64; 3] = [0.55, 0.0, 0.6751];
+
+/// `spawn = "narrow"`: how far an object is from the workspace's centre along x and y, m. Source: the
+/// original.
+const NARROW: f64 = 0.01;
 
 /// Friction coefficient of all objects and furniture. Source: the original.
 const FRICTION: f64 = 1.0;
@@ -85,9 +87,19 @@ impl Needle {
         self.lay(world, x, y, yaw);
     }
 
-    /// The middle of the arc, m, scene frame.
-    pub fn middle(&self, world: &World) -> Vector3<f64> {
-        (world.pose(self.body) * Model::needle().body_from("mid_arc")).translation.vector
+    /// Lays the needle flat, turned by up to 90° either way, the centre of its circle within
+    /// 10 mm of the workspace's along x and y.
+    pub fn lay_near_the_middle(&self, world: &mut World, rng: &mut Rng) {
+        let centre = WORKSPACE.centre();
+        let x = centre.x + rng.uniform(-NARROW, NARROW);
+        let y = centre.y + rng.uniform(-NARROW, NARROW);
+        let yaw = rng.uniform(-FRAC_PI_2, FRAC_PI_2);
+        self.lay(world, x, y, yaw);
+    }
+
+    /// The middle of the arc, scene frame: x towards the centre of the arc, y along the wire.
+    pub fn scene_from_middle(&self, world: &World) -> Pose {
+        world.pose(self.body) * Model::needle().body_from("mid_arc")
     }
 
     /// Where the needle touches the pad along its whole length.

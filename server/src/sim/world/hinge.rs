@@ -1,0 +1,148 @@
+//! Bodies that hang on driven ones by a hinge with a motor: the fingers of jaws.
+//!
+//! The engine solves joint, motor and contacts of a light finger badly: they fight. So a hinged body
+//! has its centre of mass on the hinge, and its inertia is the real one only where it turns; what
+//! the hinge takes up anyway is heavier. What it does to an object is then governed by the motor.
+
+use nalgebra::{Unit, Vector3};
+use rapier3d::math::Vector as EngineVector;
+use rapier3d::prelude::{
+    Group, ImpulseJointHandle, InteractionGroups, InteractionTestMode, MassProperties, MotorModel,
+    RevoluteJointBuilder, RigidBodyBuilder,
+};
+
+use super::{BodyId, Part, World, collider};
+use crate::sim::frames::{self, Pose, SCALE};
+
+/// How much heavier a hinged body is about what its hinge takes up; found by trials of grasping.
+const CONDITIONING: f64 = 100.0;
+
+/// Stiffness of the motor per inertia, 1/s²: its frequency is about half the rate of the solver's
+/// iterations over 2π.
+const STIFFNESS: f64 = 1e6;
+
+/// What a hinged body is like.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Hinge {
+    /// The axis, through the origin of both bodies.
+    pub axis: Unit<Vector3<f64>>,
+    /// Where turning ends, rad.
+    pub limits: [f64; 2],
+    /// Mass of what hangs on it, kg.
+    pub mass: f64,
+    /// Moment of inertia about the axis, kg·m².
+    pub inertia: f64,
+    /// Friction coefficient of its parts.
+    pub friction: f64,
+}
+
+impl Hinge {
+    /// How far the motor's target must be off for it to turn with `torque` (N·m), rad.
+    pub fn deflection(&self, torque: f64) -> f64 {
+        torque / (self.inertia * STIFFNESS)
+    }
+}
+
+/// A body on a hinge with a motor; see [`World::insert_hinged`].
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct HingedId {
+    body: BodyId,
+    joint: ImpulseJointHandle,
+    axis: Unit<Vector3<f64>>,
+}
+
+impl HingedId {
+    /// The body.
+    pub fn body(&self) -> BodyId {
+        self.body
+    }
+}
+
+impl World {
+    /// Hangs a body on the driven body `carrier`. It meets everything but its carrier and other
+    /// hinged bodies.
+    pub fn insert_hinged(&mut self, carrier: BodyId, hinge: &Hinge, parts: &[Part]) -> HingedId {
+        // The axis is one of the body's, so its inertia is diagonal.
+        let along = hinge.axis.abs();
+        let inertia = (Vector3::repeat(CONDITIONING) - along * (CONDITIONING - 1.0))
+            * (hinge.inertia * f64::powi(SCALE, 5));
+        let mass = MassProperties::new(
+            EngineVector::ZERO,
+            (hinge.mass * CONDITIONING * f64::powi(SCALE, 3)) as f32,
+            EngineVector::new(inertia.x as f32, inertia.y as f32, inertia.z as f32),
+        );
+        let body = RigidBodyBuilder::dynamic()
+            .pose(*self.bodies[carrier.0].position())
+            .additional_mass_properties(mass)
+            .can_sleep(false);
+        let body = self.bodies.insert(body);
+        let others = Group::ALL.difference(Group::GROUP_2);
+        let groups = InteractionGroups::new(Group::GROUP_2, others, InteractionTestMode::And);
+        for part in parts {
+            let collider = collider(&part.shape)
+                .position(frames::to_engine(&part.body_from_part))
+                .density(0.0)
+                .friction(hinge.friction as f32)
+                .collision_groups(groups);
+            self.colliders.insert_with_parent(collider, body, &mut self.bodies);
+        }
+        let axis = EngineVector::new(hinge.axis.x as f32, hinge.axis.y as f32, hinge.axis.z as f32);
+        let joint = RevoluteJointBuilder::new(axis)
+            .contacts_enabled(false)
+            .limits(hinge.limits.map(|limit| limit as f32))
+            .motor_model(MotorModel::AccelerationBased)
+            .motor_position(0.0, STIFFNESS as f32, DAMPING as f32);
+        let joint = self.impulse_joints.insert(carrier.0, body, joint, true);
+        HingedId { body: BodyId(body), joint, axis: hinge.axis }
+    }
+
+    /// Sets where a hinged body is and how fast it moves (m/s, rad/s), at once.
+    pub fn place_hinged(
+        &mut self,
+        hinged: &HingedId,
+        world_from_body: &Pose,
+        velocity: &Vector3<f64>,
+        rate: &Vector3<f64>,
+    ) {
+        let body = &mut self.bodies[hinged.body.0];
+        body.set_position(frames::to_engine(world_from_body), false);
+        body.set_linvel(frames::to_engine_vector(velocity), false);
+        body.set_angvel(EngineVector::new(rate.x as f32, rate.y as f32, rate.z as f32), false);
+    }
+
+    /// The angle to which the motor of a hinged body turns it, rad.
+    pub fn turn_hinged(&mut self, hinged: &HingedId, target: f64) {
+        let joint = self.impulse_joints.get_mut(hinged.joint, false).expect("joints stay");
+        let axis = rapier3d::prelude::JointAxis::AngX;
+        joint.data.set_motor_position(axis, target as f32, STIFFNESS as f32, DAMPING as f32);
+    }
+
+    /// How far a hinged body is turned, rad.
+    pub fn hinge_angle(&self, hinged: &HingedId) -> f64 {
+        let joint = self.impulse_joints.get(hinged.joint).expect("joints stay");
+        let carrier_from_body =
+            self.pose(BodyId(joint.body1())).rotation.inverse() * self.pose(hinged.body).rotation;
+        let q = carrier_from_body.quaternion();
+        let (sine, cosine) = (q.imag().dot(&hinged.axis), q.scalar());
+        // The shorter way round: both signs of a quaternion are the same rotation.
+        2.0 * if cosine < 0.0 { libm::atan2(-sine, -cosine) } else { libm::atan2(sine, cosine) }
+    }
+
+    /// The pairs of bodies that a joint ties together.
+    pub fn joints(&self) -> impl Iterator<Item = [BodyId; 2]> {
+        self.impulse_joints.iter().map(|(_, joint)| [BodyId(joint.body1()), BodyId(joint.body2())])
+    }
+}
+
+/// Damping of the motor per inertia, 1/s: critical.
+const DAMPING: f64 = 2.0 * 1e3;
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_motor_is_critically_damped() {
+        assert!((DAMPING * DAMPING / 4.0 - STIFFNESS).abs() < 1e-6);
+    }
+}
