@@ -13,7 +13,7 @@ use trocar_server::assets::Model;
 use trocar_server::sim::frames::{self, Pose};
 use trocar_server::sim::instrument::{Instrument, JAW_CLOSED, JAW_OPEN, Posture, TIP_OFFSET};
 use trocar_server::sim::random::Rng;
-use trocar_server::sim::world::{Solver, World};
+use trocar_server::sim::world::World;
 use trocar_server::tasks::options::Preset;
 use trocar_server::tasks::psm_scene::WORKSPACE;
 use trocar_server::tasks::tray::{self, Needle};
@@ -67,12 +67,11 @@ impl Outcome {
 fn run(trial: Trial, seed: u64) -> Outcome {
     let mut rng = Rng::new(seed, 0);
     let [shift, turn, arc] = trial.errors;
-    let (solver, squeeze) = match trial.preset {
-        Preset::Paper => (Solver::LIGHT, 1.0),
-        Preset::Surrol => (Solver::HEAVY, 3.0),
+    let squeeze = match trial.preset {
+        Preset::Paper => 1.0,
+        Preset::Surrol => 3.0,
     };
-    let mut world = World::new(solver);
-    tray::insert_furniture(&mut world);
+    let mut world = tray::furnished_world(trial.preset);
     let needle = Needle::insert(&mut world, trial.preset);
     let (x, y) = (tray::pad().centre().x, tray::pad().centre().y);
     needle.lay(&mut world, x, y, rng.uniform(-FRAC_PI_2, FRAC_PI_2));

@@ -101,7 +101,7 @@ use super::tray::{self, Needle};
 use crate::sim::frames::Pose;
 use crate::sim::instrument::TIP_OFFSET;
 use crate::sim::random::Rng;
-use crate::sim::world::{Solver, World};
+use crate::sim::world::World;
 
 /// How far the tip reaches below the middle of the wire when the jaws close, m: the finger's end is
 /// then as far above the pad as it may be.
@@ -142,11 +142,7 @@ impl Task for NeedlePick {
 
     fn new(options: &Options) -> Result<(Self, World), Rejection> {
         let preset = options::preset_of(options);
-        let mut world = World::new(match preset {
-            Preset::Paper => Solver::LIGHT,
-            Preset::Surrol => Solver::HEAVY,
-        });
-        tray::insert_furniture(&mut world);
+        let mut world = tray::furnished_world(preset);
         let needle = Needle::insert(&mut world, preset);
         let paper = PaperAction { turns: true, jaw: true };
         let start = [WORKSPACE.min.x, WORKSPACE.max.y, WORKSPACE.centre().z + TIP_OFFSET];

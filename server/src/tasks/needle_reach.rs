@@ -91,7 +91,7 @@ use super::tray::{self, Needle};
 use crate::sim::frames::Pose;
 use crate::sim::instrument::{JAW_CLOSED, TIP_OFFSET};
 use crate::sim::random::Rng;
-use crate::sim::world::{Solver, World};
+use crate::sim::world::World;
 
 /// Height of the goal above the middle of the needle, m. Source: the original.
 const GOAL_HEIGHT: f64 = 0.005;
@@ -132,11 +132,7 @@ impl Task for NeedleReach {
 
     fn new(options: &Options) -> Result<(Self, World), Rejection> {
         let preset = options::preset_of(options);
-        let mut world = World::new(match preset {
-            Preset::Paper => Solver::LIGHT,
-            Preset::Surrol => Solver::HEAVY,
-        });
-        tray::insert_furniture(&mut world);
+        let mut world = tray::furnished_world(preset);
         let needle = Needle::insert(&mut world, preset);
         let paper = PaperAction { turns: false, jaw: false };
         let start = [WORKSPACE.min.x, WORKSPACE.max.y, WORKSPACE.max.z + TIP_OFFSET];

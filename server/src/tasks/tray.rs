@@ -8,7 +8,7 @@ use super::psm_scene::WORKSPACE;
 use crate::assets::Model;
 use crate::sim::frames::{self, Aabb, Pose};
 use crate::sim::random::Rng;
-use crate::sim::world::{BodyId, Motion, World};
+use crate::sim::world::{BodyId, Motion, Solver, World};
 
 /// Origin of the table: the floor below its middle, m. Source: the original.
 const TABLE_ORIGIN: [f64; 3] = [0.5, 0.0, 0.001];
@@ -23,13 +23,18 @@ const NARROW: f64 = 0.01;
 /// Friction coefficient of all objects and furniture. Source: the original.
 const FRICTION: f64 = 1.0;
 
-/// Puts table, tray and pad into the world.
-pub fn insert_furniture(world: &mut World) {
+/// A world with table, tray and pad, and the solver that the preset's objects need.
+pub fn furnished_world(preset: Preset) -> World {
+    let mut world = World::new(match preset {
+        Preset::Paper => Solver::LIGHT,
+        Preset::Surrol => Solver::HEAVY,
+    });
     let scene_from_table = frames::pose(TABLE_ORIGIN, [0.0; 3]);
     world.insert(Motion::Fixed, &scene_from_table, FRICTION, &Model::table().parts);
     for model in [Model::tray(), Model::pad()] {
         world.insert(Motion::Fixed, &scene_from_tray(), FRICTION, &model.parts);
     }
+    world
 }
 
 /// The pad on which objects lie, m.
@@ -112,12 +117,10 @@ impl Needle {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::sim::world::Solver;
 
     #[test]
     fn a_needle_lies_on_pad_and_workspace_and_stays_where_it_is_laid() {
-        let mut world = World::new(Solver::LIGHT);
-        insert_furniture(&mut world);
+        let mut world = furnished_world(Preset::Paper);
         let needle = Needle::insert(&mut world, Preset::Paper);
         let mut rng = Rng::new(3, 0);
         for _ in 0..20 {
