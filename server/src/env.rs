@@ -95,9 +95,13 @@ impl Env {
     /// Memory that an environment is counted with, bytes: an upper bound over the tasks.
     pub const MEMORY_BYTES: u64 = 192 << 10;
 
-    /// An environment of `task`, which prepared `world`; it needs a reset.
-    pub(crate) fn new(task: Box<dyn AnyTask>, world: World, domain: Domain) -> Self {
-        let spec = task.spec();
+    /// An environment of `task`, which looks like `spec` and prepared `world`; it needs a reset.
+    pub(crate) fn new(
+        spec: TaskSpec,
+        task: Box<dyn AnyTask>,
+        world: World,
+        domain: Domain,
+    ) -> Self {
         let (action, observation, goal) =
             (spec.action_dim(), spec.observation_dim(), spec.goal_dim());
         Self {

@@ -93,7 +93,12 @@ fn documented_as_constant((id, options): &(String, Options), element: &Element) 
             element.name == "jaw" || (paper && element.name.starts_with("wrist link"))
         }
         "NeedlePick-v0" => {
-            paper && ["wrist link roll", "wrist link pitch"].contains(&element.name.as_str())
+            let tied = options.text("grasp") == Some("approx");
+            let name = element.name.as_str();
+            let of_wrist = ["wrist link roll", "wrist link pitch"].contains(&name);
+            // Fingers pass through the needle, which is carried as it lay.
+            let of_needle = tied && ["mid arc roll", "mid arc pitch"].contains(&name);
+            paper && (of_wrist || of_needle)
         }
         "EcmReach-v0" => paper && element.name == "camera yaw",
         _ => false,

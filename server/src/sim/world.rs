@@ -329,7 +329,8 @@ impl World {
         })
     }
 
-    /// What the rest of the world did in the last substep to bodies of one instrument, taken as one.
+    /// What the rest of the world did in the last substep to bodies of one instrument, taken as one:
+    /// what they do to each other does not count.
     pub fn push_on(&self, instrument: &[BodyId]) -> Push {
         // An engine force is SCALE³ (mass) · SCALE (length) of the real one.
         let newtons = SUBSTEPS_PER_SECOND / (SCALE * SCALE * SCALE);
@@ -339,6 +340,11 @@ impl World {
             for pair in self.narrow_phase.contact_pairs_with(*handle) {
                 // Contact normals point from the first collider to the second.
                 let first = pair.collider1 == *handle;
+                let met = if first { pair.collider2 } else { pair.collider1 };
+                let owner = self.colliders[met].parent();
+                if instrument.iter().any(|body| Some(body.0) == owner) {
+                    continue;
+                }
                 let sign = if first { -newtons } else { newtons };
                 let mut touches = false;
                 for manifold in pair.manifolds() {
@@ -356,8 +362,7 @@ impl World {
                     }
                 }
                 if touches {
-                    let object = if first { pair.collider2 } else { pair.collider1 };
-                    push.overlap = push.overlap.max(self.overlap_of(object, instrument));
+                    push.overlap = push.overlap.max(self.overlap_of(met, instrument));
                 }
             }
         }

@@ -131,14 +131,15 @@ impl Registry {
     /// The task `id` under `options`.
     pub fn spec(&self, id: &str, options: &Options) -> Result<TaskSpec, Rejection> {
         let (task, _, _) = self.build(id, options)?;
-        Ok(task.spec())
+        Ok(spec_of(task.as_ref(), options))
     }
 
     /// An environment of the task `id` under `options`; it needs a reset.
     pub fn make(&self, id: &str, options: &Options) -> Result<Env, Rejection> {
-        let (task, world, options) = self.build(id, options)?;
-        let domain = options::Domain::of(&options)?;
-        Ok(Env::new(task, world, domain))
+        let (task, world, resolved) = self.build(id, options)?;
+        let domain = options::Domain::of(&resolved)?;
+        let spec = spec_of(task.as_ref(), options);
+        Ok(Env::new(spec, task, world, domain))
     }
 
     fn build(
@@ -151,11 +152,17 @@ impl Registry {
             let allowed = format!("unknown task; this server knows {ids:?}");
             return Err(Rejection::new(Code::UnknownTask, "task", format!("{id:?}"), allowed));
         };
-        let allowed = (entry.options)();
-        let options = options::with_preset(options, &allowed).resolve(&allowed)?;
+        let allowed = options::under_preset((entry.options)(), options);
+        let options = options.resolve(&allowed)?;
         let (task, world) = (entry.make)(&options)?;
         Ok((task, world, options))
     }
+}
+
+/// What a task looks like; the defaults of its options are those of the preset.
+fn spec_of(task: &dyn AnyTask, options: &Options) -> TaskSpec {
+    let spec = task.spec();
+    TaskSpec { options: options::under_preset(spec.options, options), ..spec }
 }
 
 /// [`Task`] behind a pointer.

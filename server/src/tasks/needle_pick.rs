@@ -3,8 +3,8 @@
 //! # Description
 //!
 //! A needle of 40 mm lies on a pad in a tray. PSM1 is to grasp it, lift it and bring the middle of
-//! its arc within 5 mm of a point above the pad. Fingers and needle touch by friction alone:
-//! nothing ever ties the needle to the jaws.
+//! its arc within 5 mm of a point above the pad. By default fingers and needle touch by friction
+//! alone: nothing ever ties the needle to the jaws.
 //!
 //! # Action Space
 //!
@@ -65,18 +65,23 @@
 //!
 //! `reward`, `action`, `observation`, `spawn`, and:
 //!
-//! - `grasp = "interact"`: friction alone.
+//! - `grasp`: `interact`: friction alone; `approx`: a tie between wrist and needle when jaws close
+//!   whose tip is within `grasp_distance` (0.002 m) of the wire, through which the fingers then pass;
+//!   `weld`: friction until the middle of the arc is 5 mm higher than it lay, then a tie.
+//! - `start`: `approach` (the open jaws are about the wire), `pick` (they hold it) or `lift` (as high
+//!   as its goal): one of 64 states that the expert made, with a new goal.
 //! - `preset = "surrol"`: positions, goals and tolerance in units of 0.2 m (metres × 5), needle of
-//!   10 g, gripped with 3 N instead of 1 N, `spawn = "narrow"` unless given.
-//! - `domain`: `observation_noise` (m, on observed positions), `joint_offset` (rad, on every rotary
-//!   joint), `latency` (steps; the arm holds until the first action arrives).
+//!   10 g, gripped with 3 N instead of 1 N, `spawn = "narrow"` and `grasp = "weld"` unless given.
+//! - `domain`: `friction` (coefficient of the jaws), `observation_noise` (m, on observed positions),
+//!   `joint_offset` (rad, on every rotary joint), `latency` (steps; the arm holds until the first
+//!   action arrives).
 //! - `setup`: `base` (x, y, z in m and turn in rad of the arm's base), `table_height` (m). The arm
 //!   must reach the whole workspace.
 //!
 //! # Differences from the original
 //!
 //! - The needle is held by friction from beginning to end; the original fixes it to the wrist when
-//!   it has risen by 5 mm.
+//!   it has risen by 5 mm, as `grasp = "weld"` does.
 //! - Metres instead of metres × 5; needle and goal areas follow the paper (`narrow` is the code's).
 //! - The needle weighs 0.36 g (steel) instead of 10 g and lies at rest from the first step.
 //! - dVRK's joint limits; the jaws stay above the pad instead of running into it.

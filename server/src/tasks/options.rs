@@ -139,17 +139,16 @@ pub fn spawn() -> OptionSpec {
 const PRESETS: [(&str, &str, &str); 2] =
     [("surrol", "spawn", "narrow"), ("surrol", "grasp", "weld")];
 
-/// `options` with the defaults that their preset brings, as far as the task knows them.
-pub(super) fn with_preset(options: &Options, known: &[OptionSpec]) -> Options {
-    let mut options = options.clone();
+/// What a task knows, with the defaults that the preset in `options` brings.
+pub(super) fn under_preset(mut known: Vec<OptionSpec>, options: &Options) -> Vec<OptionSpec> {
     for (preset, name, value) in PRESETS {
-        let applies = options.text("preset") == Some(preset)
-            && known.iter().any(|option| option.name == name);
-        if applies && !options.0.contains_key(name) {
-            options = options.with_text(name, value);
+        if options.text("preset") == Some(preset) {
+            for option in known.iter_mut().filter(|option| option.name == name) {
+                option.default = OptionValue::Text(value.into());
+            }
         }
     }
-    options
+    known
 }
 
 /// `setup`: where things stand; `rows` are those that apply to the task.
