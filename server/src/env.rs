@@ -29,6 +29,7 @@ use crate::sim::random::Rng;
 use crate::sim::world::World;
 use crate::tasks::AnyTask;
 use crate::tasks::options::{Domain, SCALED_LENGTH, SCALED_LENGTHS_PER_METRE};
+use crate::tasks::start::Starts;
 
 /// What one step gave, besides what [`Env::observe`] shows.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -48,7 +49,7 @@ pub struct Step {
 #[derive(Clone)]
 pub struct Env {
     spec: Arc<TaskSpec>,
-    prepared: Arc<World>,
+    beginning: Beginning,
     domain: Domain,
     task: Box<dyn AnyTask>,
     world: World,
@@ -62,6 +63,15 @@ pub struct Env {
     observation: Vec<f32>,
     achieved: Vec<f32>,
     desired: Vec<f32>,
+}
+
+/// From what episodes begin.
+#[derive(Clone)]
+enum Beginning {
+    /// One world, which a reset arranges.
+    World(Arc<World>),
+    /// One of several states.
+    Starts(Arc<Starts>),
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -92,7 +102,11 @@ impl Env {
             (spec.action_dim(), spec.observation_dim(), spec.goal_dim());
         Self {
             spec: Arc::new(spec),
-            prepared: Arc::new(world.clone()),
+            beginning: if task.begins_prepared() {
+                Beginning::Starts(Arc::new(Starts::new(task.clone(), world.clone())))
+            } else {
+                Beginning::World(Arc::new(world.clone()))
+            },
             domain,
             task,
             world,
@@ -125,8 +139,16 @@ impl Env {
         tracing::debug!(task = self.spec.id, self.seed, self.episode, "reset");
         self.steps = 0;
         self.state = State::Running;
-        self.world.clone_from(&self.prepared);
-        self.task.reset(&mut self.world, &mut Rng::new(self.seed, self.episode));
+        let mut rng = Rng::new(self.seed, self.episode);
+        match &self.beginning {
+            Beginning::World(world) => self.world.clone_from(world),
+            Beginning::Starts(starts) => {
+                let (task, world) = starts.draw(&mut rng);
+                self.task.clone_from(task);
+                self.world.clone_from(world);
+            }
+        }
+        self.task.reset(&mut self.world, &mut rng);
 
         let mut rng = Rng::sensor(self.seed, self.episode);
         let latency = self.domain.latency.draw_integer(&mut rng);

@@ -10,6 +10,7 @@ use trocar_server::assets::Model;
 use trocar_server::sim::frames::{self, Pose};
 use trocar_server::sim::instrument::{Instrument, JAW_CLOSED, JAW_OPEN, Posture, TIP_OFFSET};
 use trocar_server::sim::random::Rng;
+use trocar_server::sim::travel::travel;
 use trocar_server::sim::world::World;
 use trocar_server::tasks::options::Preset;
 use trocar_server::tasks::psm_scene::WORKSPACE;
@@ -99,7 +100,7 @@ fn run(trial: Trial, seed: u64) -> Outcome {
     let mut arm = Instrument::insert(&mut world, above, squeeze);
     assert_eq!(world.joints().count(), 2, "the fingers' hinges");
     let go = |arm: &mut Instrument, world: &mut World, tip, yaw, jaw, steps: u32| {
-        arm.travel(world, down(tip, yaw, jaw), steps * STEP);
+        travel([arm], world, [down(tip, yaw, jaw)], steps * STEP);
         world.velocity(needle.body()).norm()
     };
     go(&mut arm, &mut world, place, yaw, JAW_OPEN, 1);

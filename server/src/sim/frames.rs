@@ -6,6 +6,9 @@
 use nalgebra::{Isometry3, Point3, Rotation3, Translation3, UnitQuaternion, Vector3};
 use rapier3d::math::{Pose as EnginePose, Rotation as EngineRotation, Vector as EngineVector};
 
+use rapier3d::parry::query::details::closest_points_segment_segment_with_locations;
+use rapier3d::parry::shape::Segment;
+
 /// A rigid transform, translation in m.
 pub type Pose = Isometry3<f64>;
 
@@ -37,6 +40,18 @@ pub fn interpolate(start: &Pose, end: &Pose, fraction: f64) -> Pose {
     let rotation =
         start.rotation.try_slerp(&end.rotation, fraction, 1e-12).unwrap_or(start.rotation); // half a turn in one step: there is no shorter arc
     Isometry3::from_parts(translation.into(), rotation)
+}
+
+/// The distance of two segments, given by their ends, m.
+pub fn segment_distance(one: &[Point3<f64>; 2], other: &[Point3<f64>; 2]) -> f64 {
+    let segment = |ends: &[Point3<f64>; 2]| {
+        Segment::new(to_engine_vector(&ends[0].coords), to_engine_vector(&ends[1].coords))
+    };
+    let (one, other) = (segment(one), segment(other));
+    let (at, other_at) =
+        closest_points_segment_segment_with_locations(&EnginePose::IDENTITY, &one, &other);
+    let between = one.point_at(&at) - other.point_at(&other_at);
+    f64::from(between.length()) / SCALE
 }
 
 /// An axis-aligned box, m.
@@ -169,6 +184,18 @@ mod tests {
         assert!((middle.translation.x - 0.05).abs() < 1e-15);
         // The shorter arc leads through π, not through 0.
         assert!((middle.rotation.angle() - std::f64::consts::PI).abs() < 1e-9);
+    }
+
+    #[test]
+    fn segments_are_as_far_apart_as_their_nearest_points() {
+        let along = |axis: usize, z: f64| {
+            let mut step = Vector3::zeros();
+            step[axis] = 0.01;
+            [-step, step].map(|end| Point3::new(0.0, 0.0, z) + end)
+        };
+        assert!((segment_distance(&along(0, 0.0), &along(1, 0.005)) - 0.005).abs() < 1e-8);
+        let shifted = along(0, 0.0).map(|end| end + Vector3::new(0.03, 0.0, 0.0));
+        assert!((segment_distance(&along(0, 0.0), &shifted) - 0.01).abs() < 1e-8);
     }
 
     #[test]

@@ -14,8 +14,10 @@ use rapier3d::prelude::{
 use super::frames::{self, Aabb, Pose, SCALE};
 
 mod hinge;
+mod tie;
 
 pub use hinge::{Hinge, HingedId};
+pub use tie::TieId;
 
 /// Acceleration of free fall, m/s².
 pub const GRAVITY: f64 = 9.81;
@@ -237,6 +239,13 @@ impl World {
         self.bodies[body.0].set_position(frames::to_engine(world_from_body), false);
     }
 
+    /// Sets the friction coefficient of all parts of a body.
+    pub fn set_friction(&mut self, body: BodyId, friction: f64) {
+        for handle in self.bodies[body.0].colliders() {
+            self.colliders[*handle].set_friction(friction as f32);
+        }
+    }
+
     /// Wakes a free body that would otherwise stay where it is.
     pub fn wake(&mut self, body: BodyId) {
         self.bodies[body.0].wake_up(true);
@@ -269,6 +278,20 @@ impl World {
     /// Where a body is.
     pub fn pose(&self, body: BodyId) -> Pose {
         frames::from_engine(self.bodies[body.0].position())
+    }
+
+    /// How far a point is from the surface of a body, m; 0 inside.
+    pub fn distance(&self, body: BodyId, point: &Point3<f64>) -> f64 {
+        let point = frames::to_engine_vector(&point.coords);
+        let body = &self.bodies[body.0];
+        let parts = body.colliders().iter().map(|handle| {
+            let collider = &self.colliders[*handle];
+            let body_from_part =
+                collider.position_wrt_parent().expect("every collider belongs to a body");
+            let pose = *body.position() * *body_from_part;
+            f64::from(collider.shape().distance_to_point(&pose, point, true)) / SCALE
+        });
+        parts.fold(f64::INFINITY, f64::min)
     }
 
     /// Velocity of a body's centre of mass, m/s.

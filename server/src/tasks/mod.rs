@@ -23,6 +23,7 @@ pub mod objects;
 pub mod options;
 pub mod pick;
 pub mod psm_scene;
+pub mod start;
 pub mod tray;
 
 /// A task: what it looks like from outside, how an episode begins, what an action does, what is
@@ -42,7 +43,18 @@ pub trait Task: Clone + Send + Sync + 'static {
     /// What it looks like from outside; it never changes.
     fn spec(&self) -> TaskSpec;
 
-    /// Begins an episode in a copy of the prepared world.
+    /// Whether episodes begin in states that need physics to come about, see [`Self::prepare`].
+    fn begins_prepared(&self) -> bool {
+        false
+    }
+
+    /// Brings task and world to a state in which episodes may begin. Done rarely: episodes share a
+    /// few of these states.
+    fn prepare(&mut self, world: &mut World, rng: &mut Rng) {
+        let _ = (world, rng);
+    }
+
+    /// Begins an episode in a copy of the world, or in one of the prepared states.
     fn reset(&mut self, world: &mut World, rng: &mut Rng);
 
     /// Lets one step pass under `action`, numbers in [−1, 1]; `None` where no command has arrived
@@ -149,6 +161,8 @@ impl Registry {
 /// [`Task`] behind a pointer.
 pub(crate) trait AnyTask: Send + Sync {
     fn spec(&self) -> TaskSpec;
+    fn begins_prepared(&self) -> bool;
+    fn prepare(&mut self, world: &mut World, rng: &mut Rng);
     fn reset(&mut self, world: &mut World, rng: &mut Rng);
     fn apply(&mut self, world: &mut World, action: Option<&[f32]>);
     fn observe(
@@ -167,6 +181,14 @@ pub(crate) trait AnyTask: Send + Sync {
 impl<T: Task> AnyTask for T {
     fn spec(&self) -> TaskSpec {
         Task::spec(self)
+    }
+
+    fn begins_prepared(&self) -> bool {
+        Task::begins_prepared(self)
+    }
+
+    fn prepare(&mut self, world: &mut World, rng: &mut Rng) {
+        Task::prepare(self, world, rng);
     }
 
     fn reset(&mut self, world: &mut World, rng: &mut Rng) {

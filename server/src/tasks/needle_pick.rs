@@ -96,9 +96,13 @@ use super::Task;
 use super::objects;
 use super::options::{self, Preset};
 use super::pick::{self, Pick};
-use super::psm_scene::{MAX_STEPS, PaperAction, PsmArm, SECONDS_PER_STEP, WORKSPACE};
+use super::psm_scene::{
+    self, MAX_STEPS, PaperAction, PsmArm, SECONDS_PER_STEP, Station, WORKSPACE,
+};
+use super::start::{self, Start};
 use super::tray::{self, Needle};
 use crate::sim::frames::Pose;
+use crate::sim::grasp::Grasp;
 use crate::sim::instrument::TIP_OFFSET;
 use crate::sim::random::Rng;
 use crate::sim::world::World;
@@ -106,6 +110,10 @@ use crate::sim::world::World;
 /// How far the tip reaches below the middle of the wire when the jaws close, m: the finger's end is
 /// then as far above the pad as it may be.
 const GRASP_DEPTH: f64 = 0.45e-3;
+
+/// Height of the middle of the arc above the pad from which a tie may hold the needle under
+/// `grasp = "weld"`, m. Source: the original, which takes 5 mm from where it lay.
+const WELD_LIFT: f64 = 0.0055;
 
 /// Spread of goals under `spawn = "narrow"`, m. Source: the original.
 const GOAL_SPREAD: f64 = 0.01;
@@ -118,6 +126,8 @@ const GOAL_HEIGHT: f64 = 0.7152;
 pub struct NeedlePick {
     arm: PsmArm,
     needle: Needle,
+    grasp: Grasp,
+    start: Start,
     narrow: bool,
     preset: Preset,
     reward: Reward,
@@ -128,15 +138,18 @@ impl Task for NeedlePick {
     const ID: &'static str = "NeedlePick-v0";
 
     fn options() -> Vec<OptionSpec> {
+        let [grasp, grasp_distance] = options::grasp();
         vec![
             options::reward(),
-            options::grasp(),
+            grasp,
+            grasp_distance,
             options::action(),
             options::observation(),
             options::preset(),
             options::spawn(),
+            start::option(),
             options::domain(),
-            options::setup(&PsmArm::setup_rows()),
+            options::setup(&PsmArm::setup_rows(1)),
         ]
     }
 
@@ -146,9 +159,13 @@ impl Task for NeedlePick {
         let needle = Needle::insert(&mut world, preset);
         let paper = PaperAction { turns: true, jaw: true };
         let start = [WORKSPACE.min.x, WORKSPACE.max.y, WORKSPACE.centre().z + TIP_OFFSET];
+        let station = Station::psm1(start, tray::pad().max.z);
+        let grasp = Grasp::new(&mut world, options::grasp_of(options), needle.body());
         let task = Self {
-            arm: PsmArm::insert(&mut world, options, paper, start, tray::pad().max.z)?,
+            arm: PsmArm::insert(&mut world, options, paper, station)?,
             needle,
+            grasp,
+            start: Start::of(options),
             narrow: options.text("spawn") == Some("narrow"),
             preset,
             reward: options::reward_of(options),
@@ -173,19 +190,30 @@ impl Task for NeedlePick {
         }
     }
 
+    fn begins_prepared(&self) -> bool {
+        self.start != Start::Reset
+    }
+
+    fn prepare(&mut self, world: &mut World, rng: &mut Rng) {
+        start::bring_about(self, world, rng, Self::begin, |task, world| {
+            task.pick(world).progress(&task.arm, world) >= task.start
+        });
+    }
+
     fn reset(&mut self, world: &mut World, rng: &mut Rng) {
-        if self.narrow {
-            self.needle.lay_near_the_middle(world, rng);
-            self.goal = objects::goal_near_the_middle(GOAL_SPREAD, GOAL_HEIGHT, rng);
+        if self.begins_prepared() {
+            self.goal = self.draw_goal(rng);
         } else {
-            self.needle.lay_anywhere(world, rng);
-            self.goal = objects::goal_anywhere(rng);
+            self.begin(world, rng);
         }
-        self.arm.reset(rng);
     }
 
     fn apply(&mut self, world: &mut World, action: Option<&[f32]>) {
-        self.arm.apply(world, action);
+        let lifted = tray::pad().max.z + WELD_LIFT;
+        let needle = &self.needle;
+        psm_scene::step([&mut self.arm], world, &mut self.grasp, action, |world| {
+            needle.scene_from_middle(world).translation.z > lifted
+        });
     }
 
     fn observe(
@@ -205,13 +233,39 @@ impl Task for NeedlePick {
     }
 
     fn expert(&self, world: &World, action: &mut [f32]) {
+        self.pick(world).act(&self.arm, world, action);
+    }
+}
+
+impl NeedlePick {
+    /// Lays the needle, draws a goal, brings the arm to its start.
+    fn begin(&mut self, world: &mut World, rng: &mut Rng) {
+        if self.narrow {
+            self.needle.lay_near_the_middle(world, rng);
+        } else {
+            self.needle.lay_anywhere(world, rng);
+        }
+        self.grasp.reset(world, self.needle.body());
+        self.goal = self.draw_goal(rng);
+        self.arm.reset(world, rng);
+    }
+
+    fn draw_goal(&self, rng: &mut Rng) -> Vector3<f64> {
+        if self.narrow {
+            objects::goal_near_the_middle(GOAL_SPREAD, GOAL_HEIGHT, rng)
+        } else {
+            objects::goal_anywhere(rng)
+        }
+    }
+
+    /// What is to be done now.
+    fn pick(&self, world: &World) -> Pick {
         let middle = self.needle.scene_from_middle(world);
         let carried = middle.translation.vector;
         let wire = middle.rotation * Vector3::y();
         let wrist = carried + Vector3::z() * (TIP_OFFSET - GRASP_DEPTH);
         let rotation = pick::jaws_across(&wire, self.arm.scene_from_wrist());
         let grasp = Pose::from_parts(wrist.into(), rotation);
-        let pick = Pick { object: self.needle.body(), grasp, carried, goal: self.goal };
-        pick.act(&self.arm, world, action);
+        Pick { object: self.needle.body(), grasp, carried, goal: self.goal }
     }
 }

@@ -28,8 +28,10 @@ use trocar_proto::{Options, Rejection};
 use super::options::{self, ActionMode, Preset, Range};
 use crate::robots::Psm;
 use crate::sim::frames::{self, Aabb, Pose};
+use crate::sim::grasp::Grasp;
 use crate::sim::instrument::{self, Instrument, JAW_CLOSED, JAW_OPEN, Posture, TIP_OFFSET};
 use crate::sim::random::Rng;
+use crate::sim::travel::travel;
 use crate::sim::world::{BodyId, SUBSTEPS_PER_SECOND, World};
 
 /// Simulated time of one step, s.
@@ -41,8 +43,12 @@ pub const MAX_STEPS: u32 = 50;
 /// Height of the table's top, m. Source: the original's table.
 pub const TABLE_HEIGHT: f64 = 0.675;
 
-/// Base of PSM1: position, m, and turn about the vertical, rad. Source: the original.
-const BASE_1: [f64; 4] = [0.05, 0.24, 0.8524, -110.0 * DEGREE];
+/// Bases of PSM1 and PSM2: position, m, and turn about the vertical, rad. Source: the original.
+pub const BASES: [[f64; 4]; 2] =
+    [[0.05, 0.24, 0.8524, -110.0 * DEGREE], [0.05, -0.24, 0.8524, -70.0 * DEGREE]];
+
+/// Rows of `setup` that move the bases.
+pub const BASE_ROWS: [&str; 2] = ["base", "base_2"];
 
 /// The remote centre of motion in the base, m. Source: the original's arm model.
 const BASE_FROM_RCM: [f64; 3] = [0.0, 0.4864, 0.0];
@@ -50,12 +56,18 @@ const BASE_FROM_RCM: [f64; 3] = [0.0, 0.4864, 0.0];
 /// The 10 cm workspace, for the tip of jaws that point down, m. Source: the original.
 pub const WORKSPACE: Aabb = Aabb::new([0.50, -0.05, 0.675], [0.60, 0.05, 0.745]);
 
-/// Where the wrist may go, m: the workspace raised by the length of the jaws, 4 mm more to each
-/// side and 16 mm more above. Source: the original.
-pub const REACH: Aabb = Aabb::new(
-    [0.50 - 0.004, -0.05 - 0.004, 0.675 + TIP_OFFSET],
-    [0.60 + 0.004, 0.05 + 0.004, 0.745 + TIP_OFFSET + 0.016],
-);
+/// Where the wrist may go in [`WORKSPACE`], m.
+pub const REACH: Aabb = reach(&WORKSPACE);
+
+/// Where the wrist may go for the tip to work in `workspace`, m: as much higher as the jaws are long,
+/// 4 mm more to each side and 16 mm more above. Source: the original.
+pub const fn reach(workspace: &Aabb) -> Aabb {
+    let [[x0, y0, z0], [x1, y1, z1]] = [workspace.min.data.0[0], workspace.max.data.0[0]];
+    Aabb::new(
+        [x0 - 0.004, y0 - 0.004, z0 + TIP_OFFSET],
+        [x1 + 0.004, y1 + 0.004, z1 + TIP_OFFSET + 0.016],
+    )
+}
 
 /// Movement that 1.0 in an action stands for, m. Source: the original.
 pub const STEP_LENGTH: f64 = 0.01;
@@ -90,6 +102,26 @@ pub struct PaperAction {
     pub jaw: bool,
 }
 
+/// Where an arm stands and works.
+#[derive(Debug, Clone, Copy)]
+pub struct Station {
+    /// Which arm: 0 is PSM1, 1 is PSM2.
+    pub arm: usize,
+    /// Where the tip of jaws that point down works, m.
+    pub workspace: Aabb,
+    /// The wrist at the beginning of an episode.
+    pub start: Pose,
+    /// Height of what lies under the jaws, m.
+    pub support: f64,
+}
+
+impl Station {
+    /// PSM1 in [`WORKSPACE`], the wrist at `start` (m), jaws straight down.
+    pub fn psm1(start: [f64; 3], support: f64) -> Self {
+        Self { arm: 0, workspace: WORKSPACE, start: straight_down(start), support }
+    }
+}
+
 /// A PSM with its instrument in the world.
 #[derive(Debug, Clone)]
 pub struct PsmArm {
@@ -101,6 +133,9 @@ pub struct PsmArm {
     paper: PaperAction,
     preset: Preset,
     joint_offset: Range,
+    friction: Range,
+    /// Where the wrist may go, m.
+    reach: Aabb,
     /// Height of what lies under the jaws, m.
     support: f64,
     instrument: Instrument,
@@ -113,8 +148,8 @@ pub struct PsmArm {
 }
 
 impl PsmArm {
-    /// The rows of `setup` that move a PSM.
-    pub fn setup_rows() -> Vec<RowSpec> {
+    /// The rows of `setup` that move `count` PSMs.
+    pub fn setup_rows(count: usize) -> Vec<RowSpec> {
         let row = |name: &str, summary: &str, count, min, max| RowSpec {
             name: name.into(),
             summary: summary.into(),
@@ -122,29 +157,27 @@ impl PsmArm {
             min,
             max,
         };
-        vec![
-            row("base", "Base of the arm: x, y, z (m), turn about the vertical (rad).", 4, -PI, PI),
-            row("table_height", "Height of the table's top, m.", 1, 0.0, 2.0),
-        ]
+        let base = "Base of the arm: x, y, z (m), turn about the vertical (rad).";
+        let bases = BASE_ROWS[..count].iter().map(|name| row(name, base, 4, -PI, PI));
+        bases.chain([row("table_height", "Height of the table's top, m.", 1, 0.0, 2.0)]).collect()
     }
 
-    /// Puts PSM1 into the world, jaws closed and straight down, the wrist at `start` (m), above a
-    /// surface at height `support` (m).
+    /// Puts an arm into the world, jaws closed.
     pub fn insert(
         world: &mut World,
         options: &Options,
         paper: PaperAction,
-        start: [f64; 3],
-        support: f64,
+        station: Station,
     ) -> Result<Self, Rejection> {
-        let [x, y, z, yaw] = match options.row("setup", "base") {
+        let [x, y, z, yaw] = match options.row("setup", BASE_ROWS[station.arm]) {
             Some(&[x, y, z, yaw]) => [x, y, z, yaw],
-            _ => BASE_1,
+            _ => BASES[station.arm],
         };
         let table = options.row("setup", "table_height").map_or(TABLE_HEIGHT, |row| row[0]);
         let scene_from_base = frames::pose([x, y, z - (table - TABLE_HEIGHT)], [0.0, 0.0, yaw])
             * Pose::from(Vector3::from(BASE_FROM_RCM));
-        let start = straight_down(start);
+        let start = station.start;
+        let domain = options::Domain::of(options)?;
         let mut arm = Self {
             kinematics: Psm::CLASSIC,
             scene_from_base,
@@ -153,8 +186,10 @@ impl PsmArm {
             mode: options::action_of(options),
             paper,
             preset: options::preset_of(options),
-            joint_offset: options::Domain::of(options)?.joint_offset,
-            support,
+            joint_offset: domain.joint_offset,
+            friction: domain.friction,
+            reach: reach(&station.workspace),
+            support: station.support,
             instrument: Instrument::insert(
                 world,
                 Posture { world_from_wrist: start, jaw: JAW_CLOSED },
@@ -164,9 +199,9 @@ impl PsmArm {
             offsets: [0.0; 6],
             scene_from_wrist: start,
         };
-        for corner in REACH.corners() {
-            let target = arm.confined(straight_down(corner.coords.into()));
-            if arm.solve(&target).is_none() {
+        for corner in arm.reach.corners() {
+            let corner = Pose::from_parts(corner.coords.into(), start.rotation);
+            if arm.solve(&arm.confined(corner)).is_none() {
                 let why = "the arm must reach all of the workspace within its joint limits";
                 return Err(options::refuse_setup(options, why));
             }
@@ -177,14 +212,18 @@ impl PsmArm {
         Ok(arm)
     }
 
-    /// Brings the arm to its start and draws this episode's encoder errors.
-    pub fn reset(&mut self, rng: &mut Rng) {
+    /// Brings the arm to its start and draws this episode's encoder errors and friction of the jaws.
+    pub fn reset(&mut self, world: &mut World, rng: &mut Rng) {
+        if let Some(friction) = self.friction.draw_if_given(rng) {
+            self.instrument.set_friction(world, friction);
+        }
         for joint in [0, 1, 3, 4, 5] {
             self.offsets[joint] = self.joint_offset.draw(rng);
         }
         self.joints = self.start_joints;
         self.scene_from_wrist = self.start;
         let world_from_wrist = self.true_pose(&self.joints);
+        self.instrument.untie(world);
         self.instrument.place(Posture { world_from_wrist, jaw: JAW_CLOSED });
     }
 
@@ -210,16 +249,25 @@ impl PsmArm {
 
     /// Moves the arm for one step under an action of its mode; it holds where there is none.
     pub fn apply(&mut self, world: &mut World, action: Option<&[f32]>) {
-        let now = *self.instrument.posture();
+        let plan = self.plan(action);
+        let [reached] = travel([&mut self.instrument], world, [plan.end], substeps());
+        self.arrive(&plan, reached);
+    }
+
+    /// Where the arm goes under an action.
+    fn plan(&self, action: Option<&[f32]>) -> Plan {
         let (target, jaw) = match action {
             Some(action) => self.decode(action),
-            None => (self.scene_from_wrist, now.jaw),
+            None => (self.scene_from_wrist, self.instrument.posture().jaw),
         };
         let joints = self.solve_clear_of_pad(&self.confined(target)).unwrap_or(self.joints);
-        let end = Posture { world_from_wrist: self.true_pose(&joints), jaw };
-        let substeps = (SECONDS_PER_STEP * SUBSTEPS_PER_SECOND).round() as u32;
-        let reached = self.instrument.travel(world, end, substeps);
-        self.joints = if reached < 1.0 { self.joints_where_it_is(&joints) } else { joints };
+        Plan { joints, end: Posture { world_from_wrist: self.true_pose(&joints), jaw } }
+    }
+
+    /// Notes where the arm is after it went along `reached` of the way that was planned.
+    fn arrive(&mut self, plan: &Plan, reached: f64) {
+        self.joints =
+            if reached < 1.0 { self.joints_where_it_is(&plan.joints) } else { plan.joints };
         self.scene_from_wrist = self.pose_at(&self.joints);
     }
 
@@ -239,8 +287,8 @@ impl PsmArm {
                 [d.x, d.y, d.z, r.x, r.y, r.z, opening]
             }
             ActionMode::CartesianAbs => {
-                let half = (REACH.max - REACH.min) * 0.5;
-                let p = (target.translation.vector - REACH.centre()).component_div(&half);
+                let half = (self.reach.max - self.reach.min) * 0.5;
+                let p = (target.translation.vector - self.reach.centre()).component_div(&half);
                 let r = (target.rotation * down().inverse()).scaled_axis() / PI;
                 [p.x, p.y, p.z, r.x, r.y, r.z, opening]
             }
@@ -284,7 +332,7 @@ impl PsmArm {
     /// The elements of [`Self::observe`].
     pub fn observation_elements(&self) -> Vec<Element> {
         let mut elements =
-            options::position_elements("wrist", "scene", &REACH.grown(1e-3), self.preset);
+            options::position_elements("wrist", "scene", &self.reach.grown(1e-3), self.preset);
         elements.extend(options::euler_elements("wrist link", "scene"));
         elements.push(Element::new("jaw", "", "rad", -0.1, 1.0));
         elements
@@ -320,8 +368,8 @@ impl PsmArm {
                 (moved(now, vector(0) * STEP_LENGTH, vector(3) * STEP_ANGLE), graded)
             }
             ActionMode::CartesianAbs => {
-                let half = (REACH.max - REACH.min) * 0.5;
-                let position = REACH.centre() + vector(0).component_mul(&half);
+                let half = (self.reach.max - self.reach.min) * 0.5;
+                let position = self.reach.centre() + vector(0).component_mul(&half);
                 let rotation = UnitQuaternion::from_scaled_axis(vector(3) * PI) * down();
                 let step = position - now.translation.vector;
                 let step = step / (step.amax() / STEP_LENGTH).max(1.0);
@@ -344,9 +392,9 @@ impl PsmArm {
     /// The pose nearest to `target` in which wrist and tip are where they may be.
     fn confined(&self, mut target: Pose) -> Pose {
         let jaws = target.rotation * Vector3::z() * TIP_OFFSET;
-        let wrist = REACH.clamp(&target.translation.vector);
+        let wrist = self.reach.clamp(&target.translation.vector);
         let tip = wrist + jaws;
-        let inside = REACH.clamp(&tip) - tip;
+        let inside = self.reach.clamp(&tip) - tip;
         let lowest = self.support + instrument::CLEARANCE;
         let height = wrist.z.max(lowest + self.instrument.depth_below_wrist(&target.rotation));
         target.translation.vector = Vector3::new(wrist.x + inside.x, wrist.y + inside.y, height);
@@ -399,6 +447,54 @@ impl PsmArm {
     }
 }
 
+/// Where an arm goes in a step.
+struct Plan {
+    /// What the joint sensors will report.
+    joints: [f64; 6],
+    end: Posture,
+}
+
+impl Plan {
+    /// Whether the jaws are told to close: to less than half of what they open.
+    fn closes(&self) -> bool {
+        self.end.jaw < 0.5 * (JAW_CLOSED + JAW_OPEN)
+    }
+}
+
+/// Moves `arms` at the same time for one step under an action, which has as many numbers for each, one
+/// arm after the other; they hold where there is none. `is_lifted` tells whether the object of `grasp`
+/// has risen enough for a tie to replace friction where the grasp mode is `weld`.
+pub fn step<const N: usize>(
+    mut arms: [&mut PsmArm; N],
+    world: &mut World,
+    grasp: &mut Grasp,
+    action: Option<&[f32]>,
+    is_lifted: impl FnOnce(&World) -> bool,
+) {
+    let plans: [Plan; N] = std::array::from_fn(|index| {
+        let own = action.map(|action| {
+            let count = action.len() / N;
+            &action[index * count..][..count]
+        });
+        arms[index].plan(own)
+    });
+    let closing = plans.each_ref().map(Plan::closes);
+    let ends = plans.each_ref().map(|plan| plan.end);
+    let mut instruments = arms.each_mut().map(|arm| &mut arm.instrument);
+    grasp.command(world, instruments.each_mut().map(|each| &mut **each), closing);
+    let reached = travel(instruments.each_mut().map(|each| &mut **each), world, ends, substeps());
+    let is_lifted = is_lifted(world);
+    grasp.settle(world, instruments, is_lifted);
+    for ((arm, plan), reached) in arms.into_iter().zip(&plans).zip(reached) {
+        arm.arrive(plan, reached);
+    }
+}
+
+/// Substeps of a step.
+fn substeps() -> u32 {
+    (SECONDS_PER_STEP * SUBSTEPS_PER_SECOND).round() as u32
+}
+
 /// `now` moved by `step` (m) and turned by the rotation vector `turn` (rad), both in the scene.
 fn moved(now: &Pose, step: Vector3<f64>, turn: Vector3<f64>) -> Pose {
     let rotation = UnitQuaternion::from_scaled_axis(turn) * now.rotation;
@@ -433,8 +529,9 @@ mod tests {
         let mut world = World::new(Solver::LIGHT);
         let paper = PaperAction { turns: true, jaw: true };
         let start = [WORKSPACE.min.x, WORKSPACE.max.y, WORKSPACE.max.z + TIP_OFFSET];
-        let mut arm = PsmArm::insert(&mut world, options, paper, start, pad().max.z).unwrap();
-        arm.reset(&mut Rng::new(0, 0));
+        let mut arm =
+            PsmArm::insert(&mut world, options, paper, Station::psm1(start, pad().max.z)).unwrap();
+        arm.reset(&mut world, &mut Rng::new(0, 0));
         (world, arm)
     }
 

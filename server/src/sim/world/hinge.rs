@@ -65,8 +65,8 @@ impl HingedId {
 }
 
 impl World {
-    /// Hangs a body on the driven body `carrier`. It meets everything but its carrier and other
-    /// hinged bodies.
+    /// Hangs a body on the driven body `carrier`. It meets everything but its carrier and what else
+    /// hangs on that.
     pub fn insert_hinged(&mut self, carrier: BodyId, hinge: &Hinge, parts: &[Part]) -> HingedId {
         // The axis is one of the body's, so its inertia is diagonal.
         let along = hinge.axis.abs();
@@ -82,8 +82,9 @@ impl World {
             .additional_mass_properties(mass)
             .can_sleep(false);
         let body = self.bodies.insert(body);
-        let others = Group::ALL.difference(Group::GROUP_2);
-        let groups = InteractionGroups::new(Group::GROUP_2, others, InteractionTestMode::And);
+        let own = self.group_of(carrier);
+        let groups =
+            InteractionGroups::new(own, Group::ALL.difference(own), InteractionTestMode::And);
         for part in parts {
             let collider = collider(&part.shape)
                 .position(frames::to_engine(&part.body_from_part))
@@ -101,6 +102,14 @@ impl World {
             .motor_position(0.0, STIFFNESS as f32, DAMPING as f32);
         let joint = self.impulse_joints.insert(carrier.0, body, joint, true);
         HingedId { body: BodyId(body), joint, axis: hinge.axis }
+    }
+
+    /// The collision group of what hangs on `carrier`: each carrier has its own, from the second on.
+    fn group_of(&self, carrier: BodyId) -> Group {
+        let mut carriers: Vec<_> = self.joints().map(|[carrier, _]| carrier).collect();
+        carriers.dedup();
+        let index = carriers.iter().position(|each| *each == carrier).unwrap_or(carriers.len());
+        Group::from_bits_retain(Group::GROUP_2.bits() << index)
     }
 
     /// Sets where a hinged body is and how fast it moves (m/s, rad/s), at once.
