@@ -132,6 +132,21 @@ impl Env {
         &self.spec
     }
 
+    /// What is simulated, to look at.
+    pub fn world(&self) -> &World {
+        &self.world
+    }
+
+    /// Whether an object has left the theatre: it fell off the table, or was thrown away. Observations
+    /// show it at the edge.
+    pub fn has_lost_objects(&self) -> bool {
+        let theatre = self.task.theatre();
+        self.world.objects().any(|object| {
+            let at = self.world.pose(object).translation.vector;
+            theatre.clamp(&at) != at
+        })
+    }
+
     /// Begins an episode: episode 0 of `seed`, or without one the next episode of the seed that is
     /// set (the first ever is episode 0 of seed 0).
     pub fn reset(&mut self, seed: Option<u64>) {

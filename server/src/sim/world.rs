@@ -149,6 +149,8 @@ pub struct World {
     multibody_joints: MultibodyJointSet,
     soft_bodies: SoftBodySet,
     free: Vec<RigidBodyHandle>,
+    /// Greatest speed of a free object in any substep, engine units.
+    fastest: f32,
     fixed: Vec<RigidBodyHandle>,
     workspace: Workspace,
 }
@@ -198,6 +200,7 @@ impl World {
             multibody_joints: MultibodyJointSet::new(),
             soft_bodies: SoftBodySet::new(),
             free: Vec::new(),
+            fastest: 0.0,
             fixed: Vec::new(),
             workspace: Workspace::default(),
         }
@@ -273,6 +276,9 @@ impl World {
             &(),
             &(),
         );
+        for body in &self.free {
+            self.fastest = self.fastest.max(self.bodies[*body].linvel().length());
+        }
     }
 
     /// Where a body is.
@@ -297,6 +303,24 @@ impl World {
     /// Velocity of a body's centre of mass, m/s.
     pub fn velocity(&self, body: BodyId) -> Vector3<f64> {
         frames::from_engine_vector(self.bodies[body.0].linvel())
+    }
+
+    /// The free objects, in the order in which they were put into the world.
+    pub fn objects(&self) -> impl Iterator<Item = BodyId> {
+        self.free.iter().map(|body| BodyId(*body))
+    }
+
+    /// Greatest speed of the centre of mass of any free object in all substeps so far, m/s.
+    pub fn fastest(&self) -> f64 {
+        f64::from(self.fastest) / SCALE
+    }
+
+    /// Deepest overlap of a free object with anything now, m.
+    pub fn deepest_overlap(&self) -> f64 {
+        let parts = self.free.iter().flat_map(|body| self.bodies[*body].colliders());
+        let pairs = parts.flat_map(|part| self.narrow_phase.contact_pairs_with(*part));
+        let contacts = pairs.flat_map(ContactPair::manifolds).flat_map(|each| &each.points);
+        contacts.fold(0.0, |deepest, contact| deepest.max(-f64::from(contact.dist) / SCALE))
     }
 
     /// Whether every free object sleeps: then nothing changes until something touches one.

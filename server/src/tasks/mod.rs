@@ -12,6 +12,7 @@ use trocar_proto::spec::OptionSpec;
 use trocar_proto::{Code, Options, Rejection, TaskSpec};
 
 use crate::env::Env;
+use crate::sim::frames::Aabb;
 use crate::sim::random::Rng;
 use crate::sim::world::World;
 
@@ -72,6 +73,11 @@ pub trait Task: Clone + Send + Sync + 'static {
 
     /// Writes what a scripted expert would do now.
     fn expert(&self, world: &World, action: &mut [f32]);
+
+    /// Where free objects are to stay, m; see [`Env::has_lost_objects`].
+    fn theatre(&self) -> Aabb {
+        objects::THEATRE
+    }
 
     /// The reward of tasks without goals; goal tasks get theirs from the goals.
     fn reward(&self, world: &World) -> f32 {
@@ -180,6 +186,7 @@ pub(crate) trait AnyTask: Send + Sync {
         desired: &mut [f32],
     );
     fn expert(&self, world: &World, action: &mut [f32]);
+    fn theatre(&self) -> Aabb;
     fn reward(&self, world: &World) -> f32;
     fn terminated(&self, world: &World) -> bool;
     fn boxed_clone(&self) -> Box<dyn AnyTask>;
@@ -218,6 +225,10 @@ impl<T: Task> AnyTask for T {
 
     fn expert(&self, world: &World, action: &mut [f32]) {
         Task::expert(self, world, action);
+    }
+
+    fn theatre(&self) -> Aabb {
+        Task::theatre(self)
     }
 
     fn reward(&self, world: &World) -> f32 {
