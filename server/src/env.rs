@@ -57,6 +57,8 @@ pub struct Env {
     episode: u64,
     steps: u32,
     state: State,
+    /// Whether it was said that an object is lost.
+    reported_loss: bool,
     noise: Noise,
     delayed: VecDeque<Option<Vec<f32>>>,
     command: Vec<f32>,
@@ -118,6 +120,7 @@ impl Env {
             episode: 0,
             steps: 0,
             state: State::New,
+            reported_loss: false,
             noise: Noise { rng: Rng::new(0, 0), sigma: 0.0 },
             delayed: VecDeque::new(),
             command: vec![0.0; action],
@@ -158,6 +161,7 @@ impl Env {
         tracing::debug!(task = self.spec.id, self.seed, self.episode, "reset");
         self.steps = 0;
         self.state = State::Running;
+        self.reported_loss = false;
         let mut rng = Rng::new(self.seed, self.episode);
         match &self.beginning {
             Beginning::World(world) => self.world.clone_from(world),
@@ -237,6 +241,12 @@ impl Env {
                 *number = 0.0;
             }
             return Err(StepError::Simulation { what, step: self.steps });
+        }
+
+        if !self.reported_loss && self.has_lost_objects() {
+            self.reported_loss = true;
+            let Self { seed, episode, steps, .. } = self;
+            tracing::warn!(task = self.spec.id, seed, episode, steps, "an object left the theatre");
         }
 
         let reward = match (&self.spec.goal, self.spec.reward) {

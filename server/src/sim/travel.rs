@@ -11,8 +11,10 @@
 //!   instruments' swept volumes meet no object, no furniture (where they grip) and not each other,
 //!   the instruments move and no substep runs, since nothing else would change.
 
+use nalgebra::Point3;
+
 use super::instrument::{Instrument, Posture};
-use super::world::{Push, World};
+use super::world::{Overlap, Push, World};
 
 /// Net force of objects against the motion beyond which an instrument yields, N.
 const YIELD_FORCE: f64 = 2.5;
@@ -28,6 +30,9 @@ const HOLD_OVERLAP_LOCKED: f64 = 0.5 * YIELD_OVERLAP;
 /// Overlap beyond which gripping jaws wait, m: in one substep they move by up to 0.5 mm, as much as
 /// the radius of a needle's wire.
 const HOLD_OVERLAP_GRIPPING: f64 = 0.01e-3;
+
+/// Movement of a point that counts as one, m.
+const LEAST_MOTION: f64 = 1e-9;
 
 /// One instrument on its way.
 struct Way<'a> {
@@ -144,12 +149,16 @@ enum Resistance {
 /// What `push` does to the motion from `start` to `end`, which waits beyond an overlap of `hold`, m.
 fn resistance(push: &Push, start: &Posture, end: &Posture, hold: f64) -> Resistance {
     let end_from_start = end.world_from_wrist * start.world_from_wrist.inverse();
-    let motion = end_from_start * push.point - push.point;
-    let Some(direction) = motion.try_normalize(1e-9) else { return Resistance::None };
-    let along = push.force.dot(&direction);
-    if along < -YIELD_FORCE || (along < 0.0 && push.overlap > YIELD_OVERLAP) {
+    let moves = |point: &Point3<f64>| end_from_start * point - point;
+    let force = match moves(&push.point).try_normalize(LEAST_MOTION) {
+        Some(direction) => -push.force.dot(&direction),
+        None => 0.0,
+    };
+    let Overlap { depth, point, into } = push.overlap;
+    let presses_on = moves(&point).dot(&into) > LEAST_MOTION;
+    if force > YIELD_FORCE || (presses_on && depth > YIELD_OVERLAP) {
         Resistance::Drives
-    } else if along < 0.0 && push.overlap > hold {
+    } else if presses_on && depth > hold {
         Resistance::Holds
     } else {
         Resistance::None

@@ -109,9 +109,32 @@ pub struct Push {
     pub strongest: f64,
     /// Where that is; the origin where nothing touches.
     pub point: Point3<f64>,
-    /// Deepest overlap of an object that touches, m; that with the bodies asked for does not count
-    /// where it squeezes the object from two sides.
-    pub overlap: f64,
+    /// Deepest overlap of an object that touches; that with the bodies asked for does not count where
+    /// they squeeze the object from two sides.
+    pub overlap: Overlap,
+}
+
+/// Where something overlaps with what is in its way.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Overlap {
+    /// How deep, m.
+    pub depth: f64,
+    /// Where.
+    pub point: Point3<f64>,
+    /// The direction into what is in the way.
+    pub into: Vector3<f64>,
+}
+
+impl Overlap {
+    /// Nothing overlaps.
+    pub const NONE: Self =
+        Self { depth: 0.0, point: Point3::new(0.0, 0.0, 0.0), into: Vector3::new(0.0, 0.0, 0.0) };
+
+    /// The deeper of two.
+    #[must_use]
+    pub fn or(self, other: Self) -> Self {
+        if other.depth > self.depth { other } else { self }
+    }
 }
 
 impl Push {
@@ -120,7 +143,7 @@ impl Push {
         force: Vector3::new(0.0, 0.0, 0.0),
         strongest: 0.0,
         point: Point3::new(0.0, 0.0, 0.0),
-        overlap: 0.0,
+        overlap: Overlap::NONE,
     };
 
     /// What two bodies feel together.
@@ -129,7 +152,7 @@ impl Push {
         let stronger = if other.strongest > self.strongest { other } else { self };
         Self {
             force: self.force + other.force,
-            overlap: self.overlap.max(other.overlap),
+            overlap: self.overlap.or(other.overlap),
             ..stronger
         }
     }
@@ -386,7 +409,7 @@ impl World {
                     }
                 }
                 if touches {
-                    push.overlap = push.overlap.max(self.overlap_of(met, instrument));
+                    push.overlap = push.overlap.or(self.overlap_of(met, instrument));
                 }
             }
         }
@@ -408,22 +431,44 @@ impl World {
         })
     }
 
-    /// Deepest overlap of any part of the body that `part` belongs to, m; without that with the
-    /// bodies of `instrument` where these squeeze it.
-    fn overlap_of(&self, part: ColliderHandle, instrument: &[BodyId]) -> f64 {
+    /// Deepest overlap of any part of the body that `part` belongs to; without that with the bodies of
+    /// `instrument` where these squeeze it.
+    fn overlap_of(&self, part: ColliderHandle, instrument: &[BodyId]) -> Overlap {
         let body = self.colliders[part].parent().expect("every collider belongs to a body");
         let touching = instrument.iter().filter(|each| self.touch(**each, BodyId(body)));
         let is_squeezed = touching.count() > 1;
         let is_instruments = |part: ColliderHandle| {
             let parent = self.colliders[part].parent();
-            is_squeezed && instrument.iter().any(|body| Some(body.0) == parent)
+            instrument.iter().any(|body| Some(body.0) == parent)
         };
-        let parts = self.bodies[body].colliders().iter();
-        let pairs = parts.flat_map(|part| self.narrow_phase.contact_pairs_with(*part));
-        let pairs =
-            pairs.filter(|pair| !is_instruments(pair.collider1) && !is_instruments(pair.collider2));
-        let contacts = pairs.flat_map(ContactPair::manifolds).flat_map(|each| &each.points);
-        contacts.fold(0.0, |deepest, contact| deepest.max(-f64::from(contact.dist) / SCALE))
+        let mut deepest = Overlap::NONE;
+        for part in self.bodies[body].colliders() {
+            for pair in self.narrow_phase.contact_pairs_with(*part) {
+                let first = pair.collider1 == *part;
+                let other = if first { pair.collider2 } else { pair.collider1 };
+                let by_instrument = is_instruments(other);
+                if by_instrument && is_squeezed {
+                    continue;
+                }
+                // Normals point from the first collider to the second. What moves is the instrument, and
+                // the object with it.
+                let sign = if first == by_instrument { -1.0 } else { 1.0 };
+                let at = self.colliders[*part].position();
+                for manifold in pair.manifolds() {
+                    for contact in &manifold.points {
+                        let depth = -f64::from(contact.dist) / SCALE;
+                        if depth > deepest.depth {
+                            let local = if first { contact.local_p1 } else { contact.local_p2 };
+                            let point =
+                                frames::from_engine_vector(at.transform_point(local)).into();
+                            let normal = frames::from_engine_vector(manifold.data.normal);
+                            deepest = Overlap { depth, point, into: normal * (sign * SCALE) };
+                        }
+                    }
+                }
+            }
+        }
+        deepest
     }
 
     /// Whether positions and velocities of all free objects are finite numbers.
