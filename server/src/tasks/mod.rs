@@ -17,6 +17,7 @@ use crate::sim::world::World;
 
 pub mod ecm_reach;
 pub mod ecm_scene;
+pub mod gauze;
 pub mod needle_pick;
 pub mod needle_reach;
 pub mod objects;
