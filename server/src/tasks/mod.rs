@@ -22,6 +22,7 @@ pub mod needle_pick;
 pub mod needle_reach;
 pub mod objects;
 pub mod options;
+pub mod peg_board;
 pub mod pick;
 pub mod psm_scene;
 pub mod tray;
