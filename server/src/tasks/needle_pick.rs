@@ -113,6 +113,10 @@ const GOAL_SPREAD: f64 = 0.01;
 /// Height of goals under `spawn = "narrow"`, m. Source: the original.
 const GOAL_HEIGHT: f64 = 0.7152;
 
+/// Height of the lowest goal over the pad, m: above the tray's rim, which a needle that is held at
+/// its middle would otherwise meet.
+const LOWEST_GOAL: f64 = 0.02;
+
 /// The task; see the module's description.
 #[derive(Debug, Clone)]
 pub struct NeedlePick {
@@ -179,7 +183,7 @@ impl Task for NeedlePick {
             self.goal = objects::goal_near_the_middle(GOAL_SPREAD, GOAL_HEIGHT, rng);
         } else {
             self.needle.lay_anywhere(world, rng);
-            self.goal = objects::goal_anywhere(rng);
+            self.goal = objects::goal_anywhere(tray::pad().max.z + LOWEST_GOAL, rng);
         }
         self.arm.reset(rng);
     }
