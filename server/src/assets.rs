@@ -1,4 +1,4 @@
-//! Models of `assets/`, embedded in the binary: collision shapes, mass and named frames.
+//! Models of `assets/`, embedded in the binary: collision shapes, mass, friction and named frames.
 //!
 //! Each is read once in the life of the process and shared.
 
@@ -17,6 +17,8 @@ pub struct Model {
     pub parts: Vec<Part>,
     /// Its mass, kg.
     pub mass: f64,
+    /// Friction coefficient of what it is made of.
+    pub friction: f64,
     frames: Vec<(String, Pose)>,
 }
 
@@ -26,6 +28,27 @@ impl Model {
         static NEEDLE: LazyLock<Model> =
             LazyLock::new(|| Model::read(include_str!("../../assets/needle/model.urdf")));
         &NEEDLE
+    }
+
+    /// The gauze: a small folded swab with a standing pleat along x; its origin is its middle.
+    pub fn gauze() -> &'static Self {
+        static GAUZE: LazyLock<Model> =
+            LazyLock::new(|| Model::read(include_str!("../../assets/gauze/model.urdf")));
+        &GAUZE
+    }
+
+    /// The block of the peg transfer: a triangular ring about z; its origin is its middle.
+    pub fn block() -> &'static Self {
+        static BLOCK: LazyLock<Model> =
+            LazyLock::new(|| Model::read(include_str!("../../assets/block/model.urdf")));
+        &BLOCK
+    }
+
+    /// The board of the peg transfer with its pegs; its origin is the middle of the board.
+    pub fn pegboard() -> &'static Self {
+        static PEGBOARD: LazyLock<Model> =
+            LazyLock::new(|| Model::read(include_str!("../../assets/pegboard/model.urdf")));
+        &PEGBOARD
     }
 
     /// The pad; its origin is that of the tray in which it lies.
@@ -73,6 +96,8 @@ impl Model {
         let [body, frames @ ..] = robot.links.as_slice() else {
             panic!("a model has a body");
         };
+        let material = body.visual.first().and_then(|visual| visual.material.as_ref());
+        let material = &material.expect("a body shows what it is made of").name;
         let parts = body.collision.iter().map(|collision| Part {
             body_from_part: pose(&collision.origin),
             shape: shape(&collision.geometry),
@@ -86,9 +111,21 @@ impl Model {
         Self {
             parts: parts.collect(),
             mass: body.inertial.mass.value,
+            friction: friction_of(material),
             frames: frames.iter().map(|link| frame(&link.name)).collect(),
         }
     }
+}
+
+/// The friction coefficient that the table of materials gives, with its source.
+fn friction_of(material: &str) -> f64 {
+    /// Column of the table.
+    const FRICTION: usize = 5;
+    let table = include_str!("../../assets/materials.csv");
+    let rows = table.lines().map(|line| line.split(',').collect::<Vec<_>>());
+    let row = rows.skip(1).find(|row| row[0] == material);
+    let row = row.unwrap_or_else(|| panic!("no material {material:?}"));
+    row[FRICTION].parse().expect("friction is a number")
 }
 
 fn pose(origin: &urdf_rs::Pose) -> Pose {
@@ -119,6 +156,12 @@ mod tests {
         let aabb = needle.aabb(&Pose::identity());
         assert!((aabb.max.z - 0.5e-3).abs() < 1e-9 && (aabb.min.z + 0.5e-3).abs() < 1e-9);
         assert!((0.039..0.042).contains(&(aabb.max.y - aabb.min.y)), "{aabb:?}");
+    }
+
+    #[test]
+    fn friction_is_that_of_the_table_of_materials() {
+        assert!((Model::needle().friction - 1.0).abs() < 1e-12);
+        assert!((friction_of("block") - Model::block().friction).abs() < 1e-12);
     }
 
     #[test]

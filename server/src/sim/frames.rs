@@ -104,6 +104,11 @@ impl Aabb {
         (self.min + self.max) * 0.5
     }
 
+    /// The lengths of the edges, m.
+    pub fn extents(&self) -> Vector3<f64> {
+        self.max - self.min
+    }
+
     /// The nearest point of the box.
     pub fn clamp(&self, point: &Vector3<f64>) -> Vector3<f64> {
         point.sup(&self.min).inf(&self.max)

@@ -3,6 +3,8 @@
 //! The engine computes lengths scaled by [`frames`](super::frames)' factor. Gravity, masses and
 //! forces scale with it, so the motion is the real one; every number in this interface is SI.
 
+use std::f64::consts::PI;
+
 use nalgebra::{Point3, Vector3};
 use rapier3d::dynamics::SpringCoefficients;
 use rapier3d::prelude::{
@@ -57,6 +59,18 @@ pub enum Shape {
     },
 }
 
+impl Shape {
+    /// Its volume, m³.
+    fn volume(&self) -> f64 {
+        match self {
+            Self::Cuboid(half) => 8.0 * half.x * half.y * half.z,
+            Self::Capsule { a, b, radius } => {
+                PI * radius * radius * ((b - a).norm() + 4.0 / 3.0 * radius)
+            }
+        }
+    }
+}
+
 /// One part of a body.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Part {
@@ -91,7 +105,7 @@ pub enum Motion {
     Driven,
     /// Forces.
     Free {
-        /// Mass, kg, shared equally by the parts.
+        /// Mass, kg, shared by the parts by their volume.
         mass: f64,
     },
 }
@@ -237,18 +251,20 @@ impl World {
         friction: f64,
         parts: &[Part],
     ) -> BodyId {
-        let (builder, part_mass) = match motion {
+        let (builder, density) = match motion {
             Motion::Fixed => (RigidBodyBuilder::fixed(), 0.0),
             Motion::Driven => (RigidBodyBuilder::kinematic_position_based(), 0.0),
             Motion::Free { mass } => {
-                (RigidBodyBuilder::dynamic().sleeping(true), mass / parts.len() as f64)
+                let volume: f64 = parts.iter().map(|part| part.shape.volume()).sum();
+                (RigidBodyBuilder::dynamic().sleeping(true), mass / volume)
             }
         };
         let body = self.bodies.insert(builder.pose(frames::to_engine(world_from_body)));
         for part in parts {
+            let mass = density * part.shape.volume();
             let collider = collider(&part.shape)
                 .position(frames::to_engine(&part.body_from_part))
-                .mass((part_mass * SCALE * SCALE * SCALE) as f32)
+                .mass((mass * SCALE * SCALE * SCALE) as f32)
                 .friction(friction as f32);
             self.colliders.insert_with_parent(collider, body, &mut self.bodies);
         }

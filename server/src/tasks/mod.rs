@@ -4,6 +4,7 @@
 //! |---|---|
 //! | [`needle_reach`] | the closed jaw tip of a PSM goes to a point just above a needle |
 //! | [`needle_pick`] | a PSM picks up a needle and brings it to a goal |
+//! | [`gauze_retrieve`] | a PSM picks up a gauze and brings it to a goal |
 //! | [`ecm_reach`] | the endoscope goes to a position |
 //!
 //! A task of one's own implements [`Task`] and is added by [`Registry::register`].
@@ -18,10 +19,13 @@ use crate::sim::world::World;
 
 pub mod ecm_reach;
 pub mod ecm_scene;
+pub mod gauze;
+pub mod gauze_retrieve;
 pub mod needle_pick;
 pub mod needle_reach;
 pub mod objects;
 pub mod options;
+pub mod peg_board;
 pub mod pick;
 pub mod psm_scene;
 pub mod start;
@@ -111,6 +115,7 @@ impl Registry {
         registry.register::<needle_reach::NeedleReach>();
         registry.register::<ecm_reach::EcmReach>();
         registry.register::<needle_pick::NeedlePick>();
+        registry.register::<gauze_retrieve::GauzeRetrieve>();
         registry
     }
 

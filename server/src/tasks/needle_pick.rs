@@ -126,6 +126,10 @@ const GOAL_SPREAD: f64 = 0.01;
 /// Height of goals under `spawn = "narrow"`, m. Source: the original.
 const GOAL_HEIGHT: f64 = 0.7152;
 
+/// Height of the lowest goal over the pad, m: above the tray's rim, which a needle that is held at
+/// its middle would otherwise meet.
+const LOWEST_GOAL: f64 = 0.02;
+
 /// The task; see the module's description.
 #[derive(Debug, Clone)]
 pub struct NeedlePick {
@@ -153,7 +157,7 @@ impl Task for NeedlePick {
             options::preset(),
             options::spawn(),
             start::option(),
-            options::domain(),
+            options::grasp_domain(),
             options::setup(&PsmArm::setup_rows(1)),
         ]
     }
@@ -259,7 +263,7 @@ impl NeedlePick {
         if self.narrow {
             objects::goal_near_the_middle(GOAL_SPREAD, GOAL_HEIGHT, rng)
         } else {
-            objects::goal_anywhere(rng)
+            objects::goal_anywhere(tray::pad().max.z + LOWEST_GOAL, rng)
         }
     }
 

@@ -169,26 +169,44 @@ pub fn refuse_setup(options: &Options, why: impl Into<String>) -> Rejection {
     Rejection::new(Code::InvalidOption, "options.setup", given, why)
 }
 
+/// `domain`: ranges from which every episode of a task with objects to grasp draws.
+pub fn grasp_domain() -> OptionSpec {
+    let mut domain = domain();
+    if let Allowed::Table(rows) = &mut domain.allowed {
+        rows.insert(
+            0,
+            range_row(
+                "friction",
+                "Friction coefficient of the jaws; 1 where none is given.",
+                0.1,
+                2.0,
+            ),
+        );
+    }
+    domain
+}
+
 /// `domain`: ranges from which every episode draws.
 pub fn domain() -> OptionSpec {
-    let row = |name: &str, summary: &str, min: f64, max: f64| RowSpec {
-        name: name.into(),
-        summary: summary.into(),
-        count: 2,
-        min,
-        max,
-    };
     OptionSpec {
         name: "domain".into(),
         summary: "Ranges [low, high] from which every episode draws.".into(),
         default: OptionValue::Table(BTreeMap::new()),
         allowed: Allowed::Table(vec![
-            row("observation_noise", "Standard deviation of observed positions, m.", 0.0, 0.01),
-            row("friction", "Friction coefficient of the jaws; 1 where none is given.", 0.1, 2.0),
-            row("joint_offset", "Error of each rotary joint's encoder, rad.", -0.02, 0.02),
-            row("latency", "Steps by which actions take effect late (integers).", 0.0, 10.0),
+            range_row(
+                "observation_noise",
+                "Standard deviation of observed positions, m.",
+                0.0,
+                0.01,
+            ),
+            range_row("joint_offset", "Error of each rotary joint's encoder, rad.", -0.02, 0.02),
+            range_row("latency", "Steps by which actions take effect late (integers).", 0.0, 10.0),
         ]),
     }
+}
+
+fn range_row(name: &str, summary: &str, min: f64, max: f64) -> RowSpec {
+    RowSpec { name: name.into(), summary: summary.into(), count: 2, min, max }
 }
 
 /// A range from which every episode draws; [0, 0] where none is given.
