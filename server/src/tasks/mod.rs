@@ -6,6 +6,9 @@
 //! | [`needle_pick`] | a PSM picks up a needle and brings it to a goal |
 //! | [`gauze_retrieve`] | a PSM picks up a gauze and brings it to a goal |
 //! | [`ecm_reach`] | the endoscope goes to a position |
+//! | [`mis_orient`] | the endoscope is rolled until its picture is level |
+//! | [`static_track`] | the endoscope centres a cube among others |
+//! | [`active_track`] | the endoscope follows a moving cube |
 //!
 //! A task of one's own implements [`Task`] and is added by [`Registry::register`].
 
@@ -17,18 +20,26 @@ use crate::sim::frames::Aabb;
 use crate::sim::random::Rng;
 use crate::sim::world::World;
 
+pub mod active_track;
+pub mod camera;
 pub mod ecm_reach;
 pub mod ecm_scene;
 pub mod gauze;
 pub mod gauze_retrieve;
+pub mod mis_orient;
 pub mod needle_pick;
 pub mod needle_reach;
 pub mod objects;
 pub mod options;
+pub mod path;
 pub mod peg_board;
 pub mod pick;
+pub mod pick;
+pub mod psm_scene;
 pub mod psm_scene;
 pub mod start;
+pub mod static_track;
+pub mod track;
 pub mod tray;
 
 /// A task: what it looks like from outside, how an episode begins, what an action does, what is
@@ -113,9 +124,12 @@ impl Registry {
     pub fn builtin() -> Self {
         let mut registry = Self::empty();
         registry.register::<needle_reach::NeedleReach>();
-        registry.register::<ecm_reach::EcmReach>();
-        registry.register::<needle_pick::NeedlePick>();
         registry.register::<gauze_retrieve::GauzeRetrieve>();
+        registry.register::<needle_pick::NeedlePick>();
+        registry.register::<ecm_reach::EcmReach>();
+        registry.register::<mis_orient::MisOrient>();
+        registry.register::<static_track::StaticTrack>();
+        registry.register::<active_track::ActiveTrack>();
         registry
     }
 
