@@ -7,8 +7,8 @@
 use nalgebra::{Unit, Vector3};
 use rapier3d::math::Vector as EngineVector;
 use rapier3d::prelude::{
-    Group, ImpulseJointHandle, InteractionGroups, InteractionTestMode, MassProperties, MotorModel,
-    RevoluteJointBuilder, RigidBodyBuilder,
+    ActiveHooks, Group, ImpulseJointHandle, InteractionGroups, InteractionTestMode, MassProperties,
+    MotorModel, RevoluteJointBuilder, RigidBodyBuilder,
 };
 
 use super::{BodyId, Part, World, collider};
@@ -20,6 +20,12 @@ const CONDITIONING: f64 = 100.0;
 /// Stiffness of the motor per inertia, 1/s²: its frequency is about half the rate of the solver's
 /// iterations over 2π.
 const STIFFNESS: f64 = 1e6;
+
+/// Contacts of hinged bodies are computed afresh in every substep. The engine keeps those of bodies
+/// that hardly move against each other as they were *in the world* until both have turned by 11°; a
+/// jaw that turns with what it holds would press and drag along stale normals, and what is held
+/// creeps out of it. It never keeps contacts that a hook may change; no hook is there to do so.
+const NEVER_RECYCLED: ActiveHooks = ActiveHooks::MODIFY_SOLVER_CONTACTS;
 
 /// What a hinged body is like.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -84,7 +90,8 @@ impl World {
                 .position(frames::to_engine(&part.body_from_part))
                 .density(0.0)
                 .friction(hinge.friction as f32)
-                .collision_groups(groups);
+                .collision_groups(groups)
+                .active_hooks(NEVER_RECYCLED);
             self.colliders.insert_with_parent(collider, body, &mut self.bodies);
         }
         let axis = EngineVector::new(hinge.axis.x as f32, hinge.axis.y as f32, hinge.axis.z as f32);
