@@ -4,6 +4,7 @@
 //! |---|---|
 //! | [`needle_reach`] | the closed jaw tip of a PSM goes to a point just above a needle |
 //! | [`needle_pick`] | a PSM picks up a needle and brings it to a goal |
+//! | [`needle_regrasp`] | a PSM hands a needle to the other, which brings it to a goal |
 //! | [`ecm_reach`] | the endoscope goes to a position |
 //!
 //! A task of one's own implements [`Task`] and is added by [`Registry::register`].
@@ -15,10 +16,12 @@ use crate::env::Env;
 use crate::sim::random::Rng;
 use crate::sim::world::World;
 
+pub mod bimanual;
 pub mod ecm_reach;
 pub mod ecm_scene;
 pub mod needle_pick;
 pub mod needle_reach;
+pub mod needle_regrasp;
 pub mod objects;
 pub mod options;
 pub mod pick;
@@ -105,6 +108,7 @@ impl Registry {
         registry.register::<needle_reach::NeedleReach>();
         registry.register::<ecm_reach::EcmReach>();
         registry.register::<needle_pick::NeedlePick>();
+        registry.register::<needle_regrasp::NeedleRegrasp>();
         registry
     }
 
