@@ -3,6 +3,8 @@
 //! Frames are named in the code: `world_from_tip` takes coordinates in the tip frame to
 //! coordinates in the world, so that `world_from_base * base_from_tip` checks itself.
 
+use std::f64::consts::FRAC_PI_2;
+
 use nalgebra::{Isometry3, Point3, Rotation3, Translation3, UnitQuaternion, Vector3};
 use rapier3d::math::{Pose as EnginePose, Rotation as EngineRotation, Vector as EngineVector};
 
@@ -27,9 +29,17 @@ pub fn pose(position: [f64; 3], roll_pitch_yaw: [f64; 3]) -> Pose {
 }
 
 /// The extrinsic XYZ Euler angles (roll, pitch, yaw) of a rotation, rad: R = Rz(yaw)·Ry(pitch)·Rx(roll),
-/// roll and yaw in [−π, π], pitch in [−π/2, π/2].
+/// roll and yaw in [−π, π], pitch in [−π/2, π/2]. At a pitch of ±π/2, where only their sum or difference
+/// counts, the roll is 0.
 pub fn euler_xyz(rotation: &UnitQuaternion<f64>) -> [f64; 3] {
+    /// From 1, the sine of a pitch that counts as π/2: further from it than rounding.
+    const SINGULAR: f64 = 1e-12;
     let matrix: Rotation3<f64> = rotation.to_rotation_matrix();
+    let sine = -matrix[(2, 0)];
+    if sine.abs() > 1.0 - SINGULAR {
+        let yaw = libm::atan2(-matrix[(0, 1)], matrix[(1, 1)]);
+        return [0.0, FRAC_PI_2.copysign(sine), yaw];
+    }
     let (roll, pitch, yaw) = matrix.euler_angles();
     [roll, pitch, yaw]
 }
@@ -167,6 +177,19 @@ mod tests {
         let y = Rotation3::from_axis_angle(&Vector3::y_axis(), angles[1]);
         let z = Rotation3::from_axis_angle(&Vector3::z_axis(), angles[2]);
         assert!((z * y * x).angle_to(&rotation.to_rotation_matrix()) < 1e-12);
+    }
+
+    #[test]
+    fn euler_angles_are_determined_where_the_pitch_is_a_quarter_turn() {
+        for pitch in [-FRAC_PI_2, FRAC_PI_2] {
+            for rounding in [0.0, 1e-10, -1e-10] {
+                let angles = [0.0, pitch + rounding, -1.0];
+                let found = euler_xyz(&pose([0.0; 3], angles).rotation);
+                for (found, expected) in found.iter().zip(angles) {
+                    assert!((found - expected).abs() < 1e-9, "{found} for {expected}");
+                }
+            }
+        }
     }
 
     #[test]

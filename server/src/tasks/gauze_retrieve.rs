@@ -105,7 +105,7 @@ use super::objects;
 use super::options::{self, Preset};
 use super::pick::Pick;
 use super::psm_scene::{
-    self, MAX_STEPS, PaperAction, PsmArm, SECONDS_PER_STEP, Station, WORKSPACE,
+    self, MAX_STEPS, PaperAction, PsmArm, SECONDS_PER_STEP, Station, Turn, WORKSPACE,
 };
 use super::start::{self, Start};
 use crate::sim::frames::Pose;
@@ -167,7 +167,7 @@ impl Task for GauzeRetrieve {
         let preset = options::preset_of(options);
         let mut world = gauze::furnished_world(preset);
         let gauze = Gauze::insert(&mut world, preset);
-        let paper = PaperAction { turns: false, jaw: true };
+        let paper = PaperAction { turn: Turn::Nothing, jaw: true };
         let start = [WORKSPACE.min.x, WORKSPACE.max.y, WORKSPACE.centre().z + TIP_OFFSET];
         let station = Station::psm1(start, gauze::floor());
         let grasp = Grasp::new(&mut world, options::grasp_of(options), gauze.body());

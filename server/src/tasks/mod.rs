@@ -3,8 +3,9 @@
 //! | task | in one line |
 //! |---|---|
 //! | [`needle_reach`] | the closed jaw tip of a PSM goes to a point just above a needle |
-//! | [`needle_pick`] | a PSM picks up a needle and brings it to a goal |
 //! | [`gauze_retrieve`] | a PSM picks up a gauze and brings it to a goal |
+//! | [`needle_pick`] | a PSM picks up a needle and brings it to a goal |
+//! | [`needle_regrasp`] | a PSM hands a needle to the other, which brings it to a goal |
 //! | [`ecm_reach`] | the endoscope goes to a position |
 //! | [`mis_orient`] | the endoscope is rolled until its picture is level |
 //! | [`static_track`] | the endoscope centres a cube among others |
@@ -21,6 +22,7 @@ use crate::sim::random::Rng;
 use crate::sim::world::World;
 
 pub mod active_track;
+pub mod bimanual;
 pub mod camera;
 pub mod ecm_reach;
 pub mod ecm_scene;
@@ -29,13 +31,12 @@ pub mod gauze_retrieve;
 pub mod mis_orient;
 pub mod needle_pick;
 pub mod needle_reach;
+pub mod needle_regrasp;
 pub mod objects;
 pub mod options;
 pub mod path;
 pub mod peg_board;
 pub mod pick;
-pub mod pick;
-pub mod psm_scene;
 pub mod psm_scene;
 pub mod start;
 pub mod static_track;
@@ -126,6 +127,7 @@ impl Registry {
         registry.register::<needle_reach::NeedleReach>();
         registry.register::<gauze_retrieve::GauzeRetrieve>();
         registry.register::<needle_pick::NeedlePick>();
+        registry.register::<needle_regrasp::NeedleRegrasp>();
         registry.register::<ecm_reach::EcmReach>();
         registry.register::<mis_orient::MisOrient>();
         registry.register::<static_track::StaticTrack>();

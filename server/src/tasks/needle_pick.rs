@@ -102,7 +102,7 @@ use super::objects;
 use super::options::{self, Preset};
 use super::pick::{self, Pick};
 use super::psm_scene::{
-    self, MAX_STEPS, PaperAction, PsmArm, SECONDS_PER_STEP, Station, WORKSPACE,
+    self, MAX_STEPS, PaperAction, PsmArm, SECONDS_PER_STEP, Station, Turn, WORKSPACE,
 };
 use super::start::{self, Start};
 use super::tray::{self, Needle};
@@ -166,7 +166,7 @@ impl Task for NeedlePick {
         let preset = options::preset_of(options);
         let mut world = tray::furnished_world(preset);
         let needle = Needle::insert(&mut world, preset);
-        let paper = PaperAction { turns: true, jaw: true };
+        let paper = PaperAction { turn: Turn::Vertical, jaw: true };
         let start = [WORKSPACE.min.x, WORKSPACE.max.y, WORKSPACE.centre().z + TIP_OFFSET];
         let station = Station::psm1(start, tray::pad().max.z);
         let grasp = Grasp::new(&mut world, options::grasp_of(options), needle.body());

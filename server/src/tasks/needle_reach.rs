@@ -85,7 +85,7 @@ use trocar_proto::{Options, Rejection, TaskSpec};
 use super::Task;
 use super::options::{self, Preset};
 use super::psm_scene::{
-    MAX_STEPS, PaperAction, PsmArm, REACH, SECONDS_PER_STEP, STEP_LENGTH, Station, WORKSPACE,
+    MAX_STEPS, PaperAction, PsmArm, REACH, SECONDS_PER_STEP, STEP_LENGTH, Station, Turn, WORKSPACE,
 };
 use super::tray::{self, Needle};
 use crate::sim::frames::Pose;
@@ -134,7 +134,7 @@ impl Task for NeedleReach {
         let preset = options::preset_of(options);
         let mut world = tray::furnished_world(preset);
         let needle = Needle::insert(&mut world, preset);
-        let paper = PaperAction { turns: false, jaw: false };
+        let paper = PaperAction { turn: Turn::Nothing, jaw: false };
         let start = [WORKSPACE.min.x, WORKSPACE.max.y, WORKSPACE.max.z + TIP_OFFSET];
         let task = Self {
             arm: PsmArm::insert(

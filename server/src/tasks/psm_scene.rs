@@ -14,7 +14,7 @@
 //!
 //! | `action` | numbers (1.0 stands for) |
 //! |---|---|
-//! | `paper` | dx, dy, dz (10 mm), turn about the vertical (30°), jaw (below 0 closed, else open 40°) |
+//! | `paper` | dx, dy, dz (10 mm), the task's turn, jaw (below 0 closed, else open 40°) |
 //! | `cartesian` | dx, dy, dz (10 mm), rotation vector x, y, z in the scene frame (30°), jaw (−1 closed … 1 open 40°) |
 //! | `cartesian_abs` | x, y, z within [`REACH`], rotation vector from jaws straight down (180°), jaw as before; a step goes at most 10 mm along each axis and 30° towards it |
 //! | `joint` | yaw, pitch (0.06 rad), insertion (10 mm), roll, wrist pitch, wrist yaw (30°), jaw as before |
@@ -75,6 +75,16 @@ pub const STEP_LENGTH: f64 = 0.01;
 /// Turn that 1.0 in an action stands for, rad. Source: the original.
 pub const STEP_ANGLE: f64 = 30.0 * DEGREE;
 
+/// Pitch that 1.0 in an action stands for, rad. Source: the original.
+pub const STEP_PITCH: f64 = 15.0 * DEGREE;
+
+/// How far the pitch may go either way, rad. Source: the original.
+pub const PITCH_LIMIT: f64 = FRAC_PI_2;
+
+/// Roll and yaw of the wrist links of PSM1 and PSM2 where only their pitch turns, rad: the jaws point
+/// along the scene's x axis and turn about it. Source: the original.
+const PITCHED: [[f64; 2]; 2] = [[0.0, -FRAC_PI_2], [-PI, FRAC_PI_2]];
+
 /// Joint movements that 1.0 stands for, rad; index 2 in m: 10 mm at the usual depth of 0.16 m.
 const JOINT_STEPS: [f64; 6] = [0.06, 0.06, 0.01, STEP_ANGLE, STEP_ANGLE, STEP_ANGLE];
 
@@ -95,11 +105,23 @@ fn squeeze_of(preset: Preset) -> f64 {
 /// What the `paper` action of a task moves besides the position.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct PaperAction {
-    /// Whether the fourth number turns the jaws; otherwise it is ignored.
-    pub turns: bool,
+    /// What the fourth number turns.
+    pub turn: Turn,
     /// Whether the last number opens and closes the jaws; otherwise they stay closed, in every
     /// action mode.
     pub jaw: bool,
+}
+
+/// What the fourth number of the `paper` action turns.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Turn {
+    /// Nothing: the number is ignored.
+    Nothing,
+    /// The jaws about the vertical, by [`STEP_ANGLE`].
+    Vertical,
+    /// The pitch of the wrist link, by [`STEP_PITCH`] within ±[`PITCH_LIMIT`], while its roll and yaw
+    /// stay: see [`pitched`].
+    Pitch,
 }
 
 /// Where an arm stands and works.
@@ -125,6 +147,8 @@ impl Station {
 /// A PSM with its instrument in the world.
 #[derive(Debug, Clone)]
 pub struct PsmArm {
+    /// 0 is PSM1, 1 is PSM2.
+    index: usize,
     kinematics: Psm,
     scene_from_base: Pose,
     start: Pose,
@@ -179,6 +203,7 @@ impl PsmArm {
         let start = station.start;
         let domain = options::Domain::of(options)?;
         let mut arm = Self {
+            index: station.arm,
             kinematics: Psm::CLASSIC,
             scene_from_base,
             start,
@@ -225,6 +250,34 @@ impl PsmArm {
         let world_from_wrist = self.true_pose(&self.joints);
         self.instrument.untie(world);
         self.instrument.place(Posture { world_from_wrist, jaw: JAW_CLOSED });
+    }
+
+    /// Puts the arm, at once, where its true wrist is at `target`, jaws open by `jaw` (rad); false
+    /// where it cannot be there.
+    pub fn put(&mut self, target: &Pose, jaw: f64) -> bool {
+        let base_from_wrist = self.scene_from_base.inv_mul(target);
+        let Ok(joints) = self.kinematics.inverse(&base_from_wrist, &self.start_joints) else {
+            return false;
+        };
+        self.joints = std::array::from_fn(|joint| joints[joint] - self.offsets[joint]);
+        self.scene_from_wrist = self.pose_at(&self.joints);
+        self.instrument.place(Posture { world_from_wrist: self.true_pose(&self.joints), jaw });
+        true
+    }
+
+    /// Ties `object` to the wrist where it is, to prepare a start; [`Self::let_go`] ends it.
+    pub fn hold_fast(&mut self, world: &mut World, object: BodyId) {
+        self.instrument.tie(world, object);
+    }
+
+    /// Lets go what is tied to the wrist.
+    pub fn let_go(&mut self, world: &mut World) {
+        self.instrument.untie(world);
+    }
+
+    /// Where the wrist may go, m.
+    pub fn reach(&self) -> &Aabb {
+        &self.reach
     }
 
     /// The true tip of the closed jaws, m, scene frame.
@@ -280,7 +333,15 @@ impl PsmArm {
         let numbers = match self.mode {
             ActionMode::Paper => {
                 let d = moved / STEP_LENGTH;
-                [d.x, d.y, d.z, turned.z / STEP_ANGLE, opening, 0.0, 0.0]
+                let turn = match self.paper.turn {
+                    Turn::Nothing => 0.0,
+                    Turn::Vertical => turned.z / STEP_ANGLE,
+                    Turn::Pitch => {
+                        let pitch = |pose: &Pose| pitch_of(self.index, &pose.rotation);
+                        (pitch(target) - pitch(now)) / STEP_PITCH
+                    }
+                };
+                [d.x, d.y, d.z, turn, opening, 0.0, 0.0]
             }
             ActionMode::Cartesian => {
                 let (d, r) = (moved / STEP_LENGTH, turned / STEP_ANGLE);
@@ -308,7 +369,11 @@ impl PsmArm {
 
     /// The elements of an action.
     pub fn action_elements(&self) -> Vec<Element> {
-        let turn = if self.paper.turns { "turn about the vertical" } else { "ignored (turn)" };
+        let turn = match self.paper.turn {
+            Turn::Nothing => "ignored (turn)",
+            Turn::Vertical => "turn about the vertical",
+            Turn::Pitch => "pitch",
+        };
         let jaw = if self.paper.jaw { "jaw" } else { "ignored (jaw)" };
         let (frame, mut names) = match self.mode {
             ActionMode::Paper => ("scene", vec!["dx", "dy", "dz", turn]),
@@ -360,9 +425,17 @@ impl PsmArm {
         let graded = JAW_CLOSED + (JAW_OPEN - JAW_CLOSED) * 0.5 * (number(action.len() - 1) + 1.0);
         let (target, jaw) = match self.mode {
             ActionMode::Paper => {
-                let turn = if self.paper.turns { number(3) * STEP_ANGLE } else { 0.0 };
+                let turn = match self.paper.turn {
+                    Turn::Vertical => number(3) * STEP_ANGLE,
+                    Turn::Nothing | Turn::Pitch => 0.0,
+                };
+                let mut target = moved(now, vector(0) * STEP_LENGTH, Vector3::z() * turn);
+                if self.paper.turn == Turn::Pitch {
+                    let pitch = pitch_of(self.index, &now.rotation) + number(3) * STEP_PITCH;
+                    target.rotation = pitched(self.index, pitch.clamp(-PITCH_LIMIT, PITCH_LIMIT));
+                }
                 let jaw = if number(4) < 0.0 { JAW_CLOSED } else { JAW_OPEN };
-                (moved(now, vector(0) * STEP_LENGTH, Vector3::z() * turn), jaw)
+                (target, jaw)
             }
             ActionMode::Cartesian => {
                 (moved(now, vector(0) * STEP_LENGTH, vector(3) * STEP_ANGLE), graded)
@@ -502,7 +575,7 @@ fn moved(now: &Pose, step: Vector3<f64>, turn: Vector3<f64>) -> Pose {
 }
 
 /// The wrist at `position`, jaws straight down, turned as every episode begins.
-fn straight_down(position: [f64; 3]) -> Pose {
+pub(super) fn straight_down(position: [f64; 3]) -> Pose {
     Pose::from_parts(Vector3::from(position).into(), down())
 }
 
@@ -511,6 +584,35 @@ fn straight_down(position: [f64; 3]) -> Pose {
 pub(super) fn down() -> UnitQuaternion<f64> {
     let scene_from_link = UnitQuaternion::from_euler_angles(-FRAC_PI_2, 0.0, FRAC_PI_2);
     scene_from_link * wrist_from_link().inverse()
+}
+
+/// Orientation of the wrist of `arm` (0 or 1) whose link has this pitch (rad), and roll and yaw as where
+/// only the pitch turns: jaws along the scene's x axis.
+pub fn pitched(arm: usize, pitch: f64) -> UnitQuaternion<f64> {
+    let [roll, yaw] = PITCHED[arm];
+    UnitQuaternion::from_euler_angles(roll, pitch, yaw) * wrist_from_link().inverse()
+}
+
+/// The pitch of a wrist of `arm` that is oriented as in [`pitched`], rad.
+pub fn pitch_of(arm: usize, wrist: &UnitQuaternion<f64>) -> f64 {
+    pitch_along(arm, &hinge(wrist))
+}
+
+/// The pitch, in [−π/2, π/2], at which jaws of `arm` as in [`pitched`] close across the direction `along`.
+pub fn pitch_across(arm: usize, along: &Vector3<f64>) -> f64 {
+    let pitch = pitch_along(arm, along);
+    pitch - PI * (pitch / PI).round() // either finger may be on either side
+}
+
+/// The pitch at which the hinge of jaws as in [`pitched`] lies along `direction`, as far as it can.
+fn pitch_along(arm: usize, direction: &Vector3<f64>) -> f64 {
+    let [level, upright] = [0.0, FRAC_PI_2].map(|pitch| hinge(&pitched(arm, pitch)));
+    libm::atan2(direction.dot(&upright), direction.dot(&level))
+}
+
+/// The axis on which the fingers of a wrist turn.
+fn hinge(wrist: &UnitQuaternion<f64>) -> Vector3<f64> {
+    wrist * wrist_from_link() * Vector3::z()
 }
 
 /// The wrist-yaw link (y along the jaws, z along their hinge) in the frame of dVRK's `measured_cp`
@@ -527,7 +629,7 @@ mod tests {
 
     fn arm(options: &Options) -> (World, PsmArm) {
         let mut world = World::new(Solver::LIGHT);
-        let paper = PaperAction { turns: true, jaw: true };
+        let paper = PaperAction { turn: Turn::Vertical, jaw: true };
         let start = [WORKSPACE.min.x, WORKSPACE.max.y, WORKSPACE.max.z + TIP_OFFSET];
         let mut arm =
             PsmArm::insert(&mut world, options, paper, Station::psm1(start, pad().max.z)).unwrap();
