@@ -155,7 +155,7 @@ impl Session {
             check_length("seeds", seeds.len(), env_ids.len(), Code::InvalidEnvIds)?;
         }
         let flags = if seeds.is_some() { flag::HAS_SEEDS } else { 0 };
-        let region = self.request_layout.seeds;
+        let region = self.request_layout.numbers;
         self.start(kind::RESET, flags, env_ids, |payload, rows| {
             if let Some(seeds) = seeds {
                 region.view_mut::<u64>(payload, rows).copy_from_slice(seeds);

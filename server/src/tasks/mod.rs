@@ -126,7 +126,7 @@ impl Registry {
     pub fn make(&self, id: &str, options: &Options) -> Result<Env, Rejection> {
         let (task, world, options) = self.build(id, options)?;
         let domain = options::Domain::of(&options)?;
-        Ok(Env::new(task, world, domain))
+        Ok(Env::new(task, world, domain, options))
     }
 
     fn build(
