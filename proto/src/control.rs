@@ -41,6 +41,15 @@ pub enum ControlRequest {
     Status,
     /// Ends the server.
     Shutdown,
+    /// Drops snapshots; those that are not there are no error.
+    DropSnapshots {
+        /// The session that took them.
+        session: u64,
+        /// The client's transport node, as it introduced itself.
+        node: u128,
+        /// Their numbers.
+        snapshots: Vec<u64>,
+    },
     /// Asks for a snapshot as bytes.
     ExportSnapshot {
         /// The session that took it.
@@ -72,6 +81,7 @@ impl ControlRequest {
             Self::CloseSession { .. } => 5,
             Self::Status => 6,
             Self::Shutdown => 7,
+            Self::DropSnapshots { .. } => 18,
             Self::ExportSnapshot { .. } => 19,
             Self::ImportSnapshot { .. } => 20,
         }
@@ -89,7 +99,8 @@ pub enum ControlReply {
     Task(TaskSpec),
     /// To [`ControlRequest::OpenSession`].
     Opened(SessionInfo),
-    /// To [`ControlRequest::CloseSession`] and [`ControlRequest::Shutdown`].
+    /// To [`ControlRequest::CloseSession`], [`ControlRequest::DropSnapshots`] and
+    /// [`ControlRequest::Shutdown`].
     Done,
     /// To [`ControlRequest::Status`].
     Status(ServerStatus),

@@ -35,8 +35,6 @@ pub mod kind {
     /// Let each of the listed environments go on from the state that the environment of that row's
     /// number has before the request. The reply is as for [`RESTORE`].
     pub const FORK: u32 = 5;
-    /// Drop the snapshots of the rows' numbers; those that are not there are no error.
-    pub const FORGET: u32 = 6;
 }
 
 /// Bits of [`Header::flags`].
@@ -158,8 +156,8 @@ pub struct RequestLayout {
     pub env_ids: Region,
     /// Actions: f32 (rows, action dim).
     pub actions: Region,
-    /// u64 (rows): seeds for a reset; snapshots for a restore, or to be dropped; for a fork, the
-    /// environments to go on from.
+    /// u64 (rows): seeds for a reset; snapshots for a restore; for a fork, the environments to go on
+    /// from.
     pub numbers: Region,
     /// Size of the payload.
     pub bytes: usize,

@@ -113,17 +113,17 @@ impl Host {
                 return;
             }
             Answer::Close { session, node } => self.close(session, node),
+            Answer::Forget { session, node, snapshots } => {
+                let done = self.session_of(session, node).and_then(|one| one.forget(&snapshots));
+                done.map_or_else(ControlReply::Refused, |()| ControlReply::Done)
+            }
             Answer::Export { session, node, snapshot } => {
-                match self.session_of(session, node).and_then(|handle| handle.export(snapshot)) {
-                    Ok(bytes) => ControlReply::Exported(bytes),
-                    Err(refusal) => ControlReply::Refused(refusal),
-                }
+                let bytes = self.session_of(session, node).and_then(|one| one.export(snapshot));
+                bytes.map_or_else(ControlReply::Refused, ControlReply::Exported)
             }
             Answer::Import { session, node, bytes } => {
-                match self.session_of(session, node).and_then(|handle| handle.import(&bytes)) {
-                    Ok(number) => ControlReply::Imported(number),
-                    Err(refusal) => ControlReply::Refused(refusal),
-                }
+                let number = self.session_of(session, node).and_then(|one| one.import(&bytes));
+                number.map_or_else(ControlReply::Refused, ControlReply::Imported)
             }
             Answer::Status => ControlReply::Status(self.status()),
             Answer::Shutdown => {

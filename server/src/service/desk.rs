@@ -37,6 +37,15 @@ pub enum Answer {
         /// Who asked.
         node: u128,
     },
+    /// Drop snapshots of this session, if it belongs to this client's node.
+    Forget {
+        /// Which session.
+        session: u64,
+        /// Who asked.
+        node: u128,
+        /// Which snapshots.
+        snapshots: Vec<u64>,
+    },
     /// Give a snapshot of this session as bytes, if it belongs to this client's node.
     Export {
         /// Which session.
@@ -168,6 +177,9 @@ impl Desk {
                 Answer::Open { request, client, footprint }
             }
             ControlRequest::CloseSession { session, node } => Answer::Close { session, node },
+            ControlRequest::DropSnapshots { session, node, snapshots } => {
+                Answer::Forget { session, node, snapshots }
+            }
             ControlRequest::ExportSnapshot { session, node, snapshot } => {
                 Answer::Export { session, node, snapshot }
             }

@@ -140,6 +140,14 @@ impl SessionHandle {
         self.footprint
     }
 
+    /// Drops snapshots of the session.
+    pub(super) fn forget(&self, snapshots: &[u64]) -> Result<(), Rejection> {
+        self.shared.with_store(|store| {
+            snapshots.iter().for_each(|number| store.forget(*number));
+            Ok(())
+        })
+    }
+
     /// A snapshot of the session as bytes.
     pub(super) fn export(&self, snapshot: u64) -> Result<Vec<u8>, Rejection> {
         self.shared.with_store(|store| store.export(snapshot))
@@ -334,13 +342,6 @@ impl Session {
             numbers[..rows].copy_from_slice(layout.numbers.view(payload, rows));
         }
         let numbers = &numbers[..rows];
-        if asked.kind == kind::FORGET {
-            self.shared.with_store(|store| {
-                numbers.iter().for_each(|number| store.forget(*number));
-                Ok(())
-            })?;
-            return Ok(0);
-        }
         env_ids[..rows].copy_from_slice(layout.env_ids.view(payload, rows));
         let env_ids = &env_ids[..rows];
         let mut out = Rows::of(&self.reply_layout, reply, rows);
@@ -373,8 +374,8 @@ impl Session {
                 Deed::Restore(&states)
             }
             other => {
-                let (first, last) = (kind::RESET, kind::FORGET);
-                let allowed = format!("allowed are {first} (reset) to {last} (forget snapshots)");
+                let (first, last) = (kind::RESET, kind::FORK);
+                let allowed = format!("allowed are {first} (reset) to {last} (fork)");
                 return Err(malformed("header.kind", other.into(), allowed));
             }
         };

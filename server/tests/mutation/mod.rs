@@ -147,6 +147,7 @@ fn requests(tasks: &[&str]) -> Vec<ControlRequest> {
         ControlRequest::CloseSession { session: 1, node: client.node },
         ControlRequest::Status,
         ControlRequest::Shutdown,
+        ControlRequest::DropSnapshots { session: 1, node: client.node, snapshots: vec![1, 2] },
         ControlRequest::ExportSnapshot { session: 1, node: client.node, snapshot: 1 },
     ];
     requests.extend(tasks.iter().map(|task| {
