@@ -208,25 +208,29 @@ fn what_cannot_be_saved_or_restored_is_refused_and_changes_nothing() {
         &["source", "2 numbers", "or 3"],
     );
 
-    let snapshot_of = |session: &Session, change: fn(&mut Vec<u8>)| {
+    let snapshot_of = |session: &mut Session, change: fn(&mut Vec<u8>)| {
         let mut bytes = bytes.clone();
         change(&mut bytes);
         session.import(&bytes)
     };
     let invalid = Code::InvalidSnapshot;
-    refused(snapshot_of(&pair.session, |all| all.truncate(100)), invalid, &["snapshot", "cut off"]);
-    refused(snapshot_of(&pair.session, Vec::clear), invalid, &["snapshot", "cut off"]);
-    refused(snapshot_of(&pair.session, |all| all[40] ^= 4), invalid, &["snapshot.checksum"]);
-    refused(snapshot_of(&pair.session, |all| all[0] = 0), invalid, &["snapshot.magic"]);
     refused(
-        snapshot_of(&pair.session, |all| all[8] += 1),
+        snapshot_of(&mut pair.session, |all| all.truncate(100)),
+        invalid,
+        &["snapshot", "cut off"],
+    );
+    refused(snapshot_of(&mut pair.session, Vec::clear), invalid, &["snapshot", "cut off"]);
+    refused(snapshot_of(&mut pair.session, |all| all[40] ^= 4), invalid, &["snapshot.checksum"]);
+    refused(snapshot_of(&mut pair.session, |all| all[0] = 0), invalid, &["snapshot.magic"]);
+    refused(
+        snapshot_of(&mut pair.session, |all| all[8] += 1),
         Code::VersionMismatch,
         &["snapshot.protocol version", "export it again"],
     );
-    let reach = server.open(&SessionRequest::new("NeedleReach-v0"));
+    let mut reach = server.open(&SessionRequest::new("NeedleReach-v0"));
     refused(reach.import(&bytes), invalid, &["snapshot.task", "EcmReach-v0", "NeedleReach-v0"]);
     let options = Options::new().with_text("reward", "dense");
-    let dense = server.open(&SessionRequest::new("EcmReach-v0").options(options));
+    let mut dense = server.open(&SessionRequest::new("EcmReach-v0").options(options));
     refused(dense.import(&bytes), invalid, &["snapshot.options.reward", "sparse", "dense"]);
 
     let mut fresh = server.open(&SessionRequest::new("EcmReach-v0").envs(2));

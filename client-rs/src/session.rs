@@ -226,7 +226,7 @@ impl Session {
     }
 
     /// A snapshot as bytes: a few hundred for each environment, good for [`Self::import`] anywhere.
-    pub fn export(&self, snapshot: &Snapshot) -> Result<Vec<u8>, CallError> {
+    pub fn export(&mut self, snapshot: &Snapshot) -> Result<Vec<u8>, CallError> {
         let (session, link) = (self.info.session, self.port.get()?.link());
         let (numbers, node) = (snapshot.numbers_for(&self.info, snapshot.len())?, link.node_id());
         let mut bytes = vec![];
@@ -242,7 +242,7 @@ impl Session {
     /// Brings a snapshot that was exported by a session of the same task and options, by the same
     /// release, into this one. Its states are rebuilt when they are first restored, which takes as
     /// long as their episodes took up to there.
-    pub fn import(&self, bytes: &[u8]) -> Result<Snapshot, CallError> {
+    pub fn import(&mut self, bytes: &[u8]) -> Result<Snapshot, CallError> {
         let (session, link) = (self.info.session, self.port.get()?.link());
         let (parts, node) = (snapshot::split(bytes)?, link.node_id());
         let mut imported = Snapshot::new(&self.info, &[], &self.dropped);
