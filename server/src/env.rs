@@ -22,7 +22,8 @@ use std::collections::VecDeque;
 use std::sync::Arc;
 
 use trocar_proto::goal::Reward;
-use trocar_proto::{Code, Rejection, TaskSpec};
+use trocar_proto::snapshot::{self, Recipe};
+use trocar_proto::{Code, Options, Rejection, TaskSpec};
 
 use crate::error::StepError;
 use crate::sim::random::Rng;
@@ -30,6 +31,14 @@ use crate::sim::world::World;
 use crate::tasks::AnyTask;
 use crate::tasks::options::{Domain, SCALED_LENGTH, SCALED_LENGTHS_PER_METRE};
 use crate::tasks::start::Starts;
+
+mod rebuild;
+
+pub(crate) use rebuild::Rebuild;
+
+/// Most numbers of actions that are kept of an episode: they fit into an exported snapshot, and are
+/// 1300 steps of ten numbers.
+const RECORDED: usize = 13_000;
 
 /// What one step gave, besides what [`Env::observe`] shows.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -45,11 +54,12 @@ pub struct Step {
 }
 
 /// An environment as one value: world, task, randomness and step count. A clone is a snapshot and
-/// goes on bit by bit like the original.
+/// goes on bit by bit like the original; [`Self::export`] gives one as bytes.
 #[derive(Clone)]
 pub struct Env {
     spec: Arc<TaskSpec>,
     beginning: Beginning,
+    options: Arc<Options>,
     domain: Domain,
     task: Box<dyn AnyTask>,
     world: World,
@@ -62,6 +72,8 @@ pub struct Env {
     noise: Noise,
     delayed: VecDeque<Option<Vec<f32>>>,
     command: Vec<f32>,
+    /// Actions since the episode began, as far as there is room.
+    taken: Vec<f32>,
     observation: Vec<f32>,
     achieved: Vec<f32>,
     desired: Vec<f32>,
@@ -97,12 +109,14 @@ impl Env {
     /// Memory that an environment is counted with, bytes: an upper bound over the tasks.
     pub const MEMORY_BYTES: u64 = 192 << 10;
 
-    /// An environment of `task`, which looks like `spec` and prepared `world`; it needs a reset.
+    /// An environment of `task` under all of `options`, which looks like `spec` and prepared `world`; it
+    /// needs a reset.
     pub(crate) fn new(
         spec: TaskSpec,
         task: Box<dyn AnyTask>,
         world: World,
         domain: Domain,
+        options: Options,
     ) -> Self {
         let (action, observation, goal) =
             (spec.action_dim(), spec.observation_dim(), spec.goal_dim());
@@ -113,6 +127,7 @@ impl Env {
             } else {
                 Beginning::World(Arc::new(world.clone()))
             },
+            options: Arc::new(options),
             domain,
             task,
             world,
@@ -124,6 +139,7 @@ impl Env {
             noise: Noise { rng: Rng::new(0, 0), sigma: 0.0 },
             delayed: VecDeque::new(),
             command: vec![0.0; action],
+            taken: vec![],
             observation: vec![0.0; observation],
             achieved: vec![0.0; goal],
             desired: vec![0.0; goal],
@@ -158,8 +174,14 @@ impl Env {
             None if self.state == State::New => {}
             None => self.episode += 1,
         }
+        self.begin();
+    }
+
+    /// Begins the episode that is set.
+    fn begin(&mut self) {
         tracing::debug!(task = self.spec.id, self.seed, self.episode, "reset");
         self.steps = 0;
+        self.taken.clear();
         self.state = State::Running;
         self.reported_loss = false;
         let mut rng = Rng::new(self.seed, self.episode);
@@ -219,6 +241,7 @@ impl Env {
             return Err(StepError::ResetNeeded);
         }
         self.check(action)?;
+        self.take_down(action);
         let arrived = self.delay(action);
         let command = arrived.then_some(self.command.as_slice());
         self.task.apply(&mut self.world, command);
@@ -272,6 +295,24 @@ impl Env {
         desired.copy_from_slice(&self.desired);
     }
 
+    /// The present state as bytes, from which [`Self::import`] rebuilds it: here, in another process
+    /// or on another machine.
+    pub fn export(&self) -> Result<Vec<u8>, Rejection> {
+        self.recipe()?.to_bytes()
+    }
+
+    /// An environment of the same task and options in the state that `bytes` tell of; they may be
+    /// anything. Rebuilding it takes as long as the episode took up to there.
+    pub fn import(&self, bytes: &[u8]) -> Result<Self, Rejection> {
+        let recipe = Recipe::from_bytes(bytes)?;
+        self.check_recipe(&recipe)?;
+        let mut rebuild = Rebuild::new(self, recipe);
+        while !rebuild.is_done() {
+            rebuild.step();
+        }
+        rebuild.finish()
+    }
+
     /// Writes the scripted expert's action for the present state.
     pub fn expert(&self, action: &mut [f32]) {
         self.task.expert(&self.world, action);
@@ -298,6 +339,13 @@ impl Env {
                 action[index],
                 format!("a finite number ({})", self.spec.action[index].name),
             )),
+        }
+    }
+
+    /// Keeps the action for [`Self::export`], where there is room.
+    fn take_down(&mut self, action: &[f32]) {
+        if self.taken.len() + action.len() <= RECORDED {
+            self.taken.extend(action.iter().map(|number| number.clamp(-1.0, 1.0)));
         }
     }
 

@@ -22,6 +22,7 @@ from trocar.env import TrocarEnv
 from trocar.errors import ServerLost, TrocarError
 from trocar.registration import register_all
 from trocar.server import Server, binary
+from trocar.snapshot import Snapshot
 from trocar.vector import TrocarVectorEnv
 
 __all__ = [
@@ -29,6 +30,7 @@ __all__ = [
     "OptionSpec",
     "Server",
     "ServerLost",
+    "Snapshot",
     "TaskSpec",
     "TrocarEnv",
     "TrocarError",

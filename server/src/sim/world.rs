@@ -487,6 +487,17 @@ impl World {
         deepest
     }
 
+    /// Positions and velocities of all free objects, as bits.
+    pub fn bits(&self) -> impl Iterator<Item = u32> {
+        self.free.iter().flat_map(|body| {
+            let body = &self.bodies[*body];
+            let (turned, velocity, rate) = (body.rotation(), body.linvel(), body.angvel());
+            let position = body.translation();
+            let numbers = [position.to_array(), velocity.to_array(), rate.to_array()];
+            turned.to_array().into_iter().chain(numbers.concat()).map(f32::to_bits)
+        })
+    }
+
     /// Whether positions and velocities of all free objects are finite numbers.
     pub fn is_finite(&self) -> bool {
         self.free.iter().all(|body| {

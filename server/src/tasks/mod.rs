@@ -166,7 +166,7 @@ impl Registry {
         let (task, world, resolved) = self.build(id, options)?;
         let domain = options::Domain::of(&resolved)?;
         let spec = spec_of(task.as_ref(), options);
-        Ok(Env::new(spec, task, world, domain))
+        Ok(Env::new(spec, task, world, domain, resolved))
     }
 
     fn build(
