@@ -13,7 +13,7 @@ import argparse
 import sys
 from pathlib import Path
 
-from modelling import ecm, psm, scene
+from modelling import cube, ecm, psm, scene
 
 ASSETS = Path(__file__).resolve().parent
 
@@ -29,6 +29,8 @@ def generate() -> dict[str, str]:
         files |= ecm.model(ecm.SI, urdf_name, classic).files(urdf_name)
     for model in (scene.needle(), scene.pad(), scene.tray(), scene.table()):
         files |= model.files()
+    for urdf_name in cube.EDGES:
+        files |= cube.cube(urdf_name).files(urdf_name)
     return files
 
 
