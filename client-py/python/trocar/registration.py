@@ -14,6 +14,9 @@ TASKS = {
     "NeedleReach-v0": 50,
     "NeedlePick-v0": 50,
     "EcmReach-v0": 50,
+    "MisOrient-v0": 50,
+    "StaticTrack-v0": 50,
+    "ActiveTrack-v0": 500,
 }
 
 
