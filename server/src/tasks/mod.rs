@@ -5,6 +5,7 @@
 //! | [`needle_reach`] | the closed jaw tip of a PSM goes to a point just above a needle |
 //! | [`needle_pick`] | a PSM picks up a needle and brings it to a goal |
 //! | [`gauze_retrieve`] | a PSM picks up a gauze and brings it to a goal |
+//! | [`peg_transfer`] | a PSM takes a block from one peg to another |
 //! | [`ecm_reach`] | the endoscope goes to a position |
 //!
 //! A task of one's own implements [`Task`] and is added by [`Registry::register`].
@@ -25,6 +26,8 @@ pub mod needle_reach;
 pub mod objects;
 pub mod options;
 pub mod peg_board;
+pub mod peg_expert;
+pub mod peg_transfer;
 pub mod pick;
 pub mod psm_scene;
 pub mod tray;
@@ -98,6 +101,7 @@ impl Registry {
         registry.register::<ecm_reach::EcmReach>();
         registry.register::<needle_pick::NeedlePick>();
         registry.register::<gauze_retrieve::GauzeRetrieve>();
+        registry.register::<peg_transfer::PegTransfer>();
         registry
     }
 

@@ -86,7 +86,7 @@ pub fn jaws_across(along: &Vector3<f64>, wrist: &Pose) -> UnitQuaternion<f64> {
 }
 
 /// As far from `now` to `target` as one step goes, along a straight line.
-fn step_towards(now: &Pose, target: &Pose) -> Pose {
+pub(super) fn step_towards(now: &Pose, target: &Pose) -> Pose {
     let step = target.translation.vector - now.translation.vector;
     let step = step / (step.amax() / STEP_LENGTH).max(1.0);
     let turn = (target.rotation * now.rotation.inverse()).scaled_axis();
