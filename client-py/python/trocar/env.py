@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from copy import deepcopy
 from typing import Any, ClassVar
 
 import gymnasium as gym
@@ -21,6 +22,7 @@ from trocar._goal import (
     shown,
 )
 from trocar.errors import InvalidOption, ResetNeeded, refuse
+from trocar.snapshot import Snapshot
 
 
 class TrocarEnv(GoalFunctions, gym.Env[Observation, NDArray[np.float32]]):
@@ -106,6 +108,29 @@ class TrocarEnv(GoalFunctions, gym.Env[Observation, NDArray[np.float32]]):
         if failed:
             info["simulation_failed"] = True
         return self._observation(reply, info), reward, terminated, truncated, info
+
+    def snapshot(self) -> Snapshot:
+        """Saves the present state, at any moment after the first reset.
+
+        Wrappers have state of their own: ``env.unwrapped`` has this method, and ``TimeLimit``, with
+        which :func:`gymnasium.make` counts steps, does not notice a :meth:`restore`. For planning,
+        make the environment with ``max_episode_steps=-1``; the server ends episodes in any case.
+        """
+        return self._connection.snapshot()
+
+    def restore(self, snapshot: Snapshot) -> Observation:
+        """Goes on from a snapshot, and returns what is observed there.
+
+        What then follows has the same bits as what followed the snapshot, seeds of later episodes
+        included. It may be another environment's, of the same task and options.
+        """
+        return self._observation(self._connection.restore(snapshot), {})
+
+    def fork(self) -> TrocarEnv:
+        """A second environment, with a session of its own, that goes on from the present state."""
+        twin = deepcopy(self)
+        twin.restore(self.snapshot())
+        return twin
 
     def expert_action(self) -> NDArray[np.float32]:
         """What the scripted expert would do now; only with ``expert=True``."""

@@ -3,8 +3,13 @@
 //! Frames are named in the code: `world_from_tip` takes coordinates in the tip frame to
 //! coordinates in the world, so that `world_from_base * base_from_tip` checks itself.
 
+use std::f64::consts::FRAC_PI_2;
+
 use nalgebra::{Isometry3, Point3, Rotation3, Translation3, UnitQuaternion, Vector3};
 use rapier3d::math::{Pose as EnginePose, Rotation as EngineRotation, Vector as EngineVector};
+
+use rapier3d::parry::query::details::closest_points_segment_segment_with_locations;
+use rapier3d::parry::shape::Segment;
 
 /// A rigid transform, translation in m.
 pub type Pose = Isometry3<f64>;
@@ -24,9 +29,17 @@ pub fn pose(position: [f64; 3], roll_pitch_yaw: [f64; 3]) -> Pose {
 }
 
 /// The extrinsic XYZ Euler angles (roll, pitch, yaw) of a rotation, rad: R = Rz(yaw)·Ry(pitch)·Rx(roll),
-/// roll and yaw in [−π, π], pitch in [−π/2, π/2].
+/// roll and yaw in [−π, π], pitch in [−π/2, π/2]. At a pitch of ±π/2, where only their sum or difference
+/// counts, the roll is 0.
 pub fn euler_xyz(rotation: &UnitQuaternion<f64>) -> [f64; 3] {
+    /// From 1, the sine of a pitch that counts as π/2: further from it than rounding.
+    const SINGULAR: f64 = 1e-12;
     let matrix: Rotation3<f64> = rotation.to_rotation_matrix();
+    let sine = -matrix[(2, 0)];
+    if sine.abs() > 1.0 - SINGULAR {
+        let yaw = libm::atan2(-matrix[(0, 1)], matrix[(1, 1)]);
+        return [0.0, FRAC_PI_2.copysign(sine), yaw];
+    }
     let (roll, pitch, yaw) = matrix.euler_angles();
     [roll, pitch, yaw]
 }
@@ -37,6 +50,18 @@ pub fn interpolate(start: &Pose, end: &Pose, fraction: f64) -> Pose {
     let rotation =
         start.rotation.try_slerp(&end.rotation, fraction, 1e-12).unwrap_or(start.rotation); // half a turn in one step: there is no shorter arc
     Isometry3::from_parts(translation.into(), rotation)
+}
+
+/// The distance of two segments, given by their ends, m.
+pub fn segment_distance(one: &[Point3<f64>; 2], other: &[Point3<f64>; 2]) -> f64 {
+    let segment = |ends: &[Point3<f64>; 2]| {
+        Segment::new(to_engine_vector(&ends[0].coords), to_engine_vector(&ends[1].coords))
+    };
+    let (one, other) = (segment(one), segment(other));
+    let (at, other_at) =
+        closest_points_segment_segment_with_locations(&EnginePose::IDENTITY, &one, &other);
+    let between = one.point_at(&at) - other.point_at(&other_at);
+    f64::from(between.length()) / SCALE
 }
 
 /// An axis-aligned box, m.
@@ -87,6 +112,11 @@ impl Aabb {
     /// The middle.
     pub fn centre(&self) -> Vector3<f64> {
         (self.min + self.max) * 0.5
+    }
+
+    /// The lengths of the edges, m.
+    pub fn extents(&self) -> Vector3<f64> {
+        self.max - self.min
     }
 
     /// The nearest point of the box.
@@ -150,6 +180,19 @@ mod tests {
     }
 
     #[test]
+    fn euler_angles_are_determined_where_the_pitch_is_a_quarter_turn() {
+        for pitch in [-FRAC_PI_2, FRAC_PI_2] {
+            for rounding in [0.0, 1e-10, -1e-10] {
+                let angles = [0.0, pitch + rounding, -1.0];
+                let found = euler_xyz(&pose([0.0; 3], angles).rotation);
+                for (found, expected) in found.iter().zip(angles) {
+                    assert!((found - expected).abs() < 1e-9, "{found} for {expected}");
+                }
+            }
+        }
+    }
+
+    #[test]
     fn the_engine_gets_scaled_lengths_and_gives_back_metres() {
         let there = pose([0.55, -0.02, 0.68], [0.1, -0.2, 0.3]);
         let engine = to_engine(&there);
@@ -169,6 +212,18 @@ mod tests {
         assert!((middle.translation.x - 0.05).abs() < 1e-15);
         // The shorter arc leads through π, not through 0.
         assert!((middle.rotation.angle() - std::f64::consts::PI).abs() < 1e-9);
+    }
+
+    #[test]
+    fn segments_are_as_far_apart_as_their_nearest_points() {
+        let along = |axis: usize, z: f64| {
+            let mut step = Vector3::zeros();
+            step[axis] = 0.01;
+            [-step, step].map(|end| Point3::new(0.0, 0.0, z) + end)
+        };
+        assert!((segment_distance(&along(0, 0.0), &along(1, 0.005)) - 0.005).abs() < 1e-8);
+        let shifted = along(0, 0.0).map(|end| end + Vector3::new(0.03, 0.0, 0.0));
+        assert!((segment_distance(&along(0, 0.0), &shifted) - 0.01).abs() < 1e-8);
     }
 
     #[test]
