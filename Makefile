@@ -104,10 +104,10 @@ clean: ## removes all that the targets above made
 	$(CARGO) clean
 	rm -rf $(VENV) $(WHEEL_VENV) dist client-py/python/trocar/*.so
 
-# The program and the Python package of this tree, in the profile that tests use.
+# The program, the example of an own task and the Python package of this tree, in the profile that tests use.
 .PHONY: develop
 develop: $(VENV)/ready
-	$(CARGO) build --locked -p trocar
+	$(CARGO) build $(RUST) --bin trocar --example own_task
 	cd client-py && VIRTUAL_ENV=$(abspath $(VENV)) $(BIN)/maturin develop --quiet --locked
 
 $(VENV)/ready: client-py/requirements-dev.lock

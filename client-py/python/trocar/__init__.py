@@ -20,7 +20,7 @@ from trocar._connection import status
 from trocar._trocar import Element, OptionSpec, TaskSpec, __version__
 from trocar.env import TrocarEnv
 from trocar.errors import ServerLost, TrocarError
-from trocar.registration import register_all
+from trocar.registration import register, register_all
 from trocar.server import Server, binary
 from trocar.snapshot import Snapshot
 from trocar.vector import TrocarVectorEnv
@@ -38,6 +38,7 @@ __all__ = [
     "__version__",
     "binary",
     "errors",
+    "register",
     "register_all",
     "status",
 ]

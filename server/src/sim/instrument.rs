@@ -33,7 +33,7 @@ const MARGIN: f64 = 1e-3;
 
 /// Half extents of a finger, m: across (along the hinge), thickness, length. Source: the
 /// original's collision box, 1.4 mm × 10.2 mm × 1.8 mm.
-const FINGER_HALF: Vector3<f64> = Vector3::new(0.9e-3, 0.7e-3, 5.1e-3);
+pub const FINGER_HALF: Vector3<f64> = Vector3::new(0.9e-3, 0.7e-3, 5.1e-3);
 
 /// Radius of the clevis between the wrist's pitch and yaw axes, m (8 mm shaft, tapered).
 const CLEVIS_RADIUS: f64 = 2.5e-3;

@@ -169,13 +169,16 @@ impl EcmArm {
         self.rcm_from_camera = self.sensed(&self.joints);
     }
 
-    /// Lets episodes start where the camera of the nominal arm is with these joints (rad; index 2
-    /// in m), and with that roll; false where this arm cannot be there.
-    pub fn start_as_nominal(&mut self, joints: &[f64; 4]) -> bool {
-        let camera = self.world_from_nominal * self.kinematics.base_from_camera(joints);
-        let reached = self.start_at(&camera.translation.vector);
-        self.start[3] = joints[3];
-        reached
+    /// Lets episodes start with these joints, rad; index 2 in m.
+    pub fn start_with(&mut self, joints: &[f64; 4]) {
+        self.start = *joints;
+    }
+
+    /// Whether the camera looks at the ground in front of the natural line of sight's camera at the
+    /// start, so that its misorientation means something there.
+    pub fn starts_comparable(&self) -> bool {
+        let camera = self.world_from_rcm * self.kinematics.base_from_camera(&self.start);
+        camera::comparable(&self.world_from_reference, &camera)
     }
 
     /// The true misorientation, rad.
@@ -468,7 +471,7 @@ mod tests {
                 let moved = -image[axis] * f64::from(velocity[axis]) / f64::from(step);
                 assert!((0.8 * STEP_TURN..1.5 * STEP_TURN).contains(&moved), "{image:?}");
                 assert!(image[1 - axis].abs() < 0.1 * image[axis].abs(), "{image:?}");
-                assert!(arm.misorientation().abs() < 2e-3, "{}", arm.misorientation());
+                assert!(arm.misorientation().abs() < 5e-3, "{}", arm.misorientation());
             }
         }
     }

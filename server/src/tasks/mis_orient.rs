@@ -44,7 +44,8 @@
 //! # Starting State
 //!
 //! Joints uniform: yaw ±45°, pitch −22.5° to 33.2°, insertion 0 to 0.24 m, roll ±45°, among those
-//! whose θ* the roll joint can take away. That is less than 45 full actions away.
+//! with which the camera looks at the ground in front of that of the natural line of sight, and whose
+//! θ* the roll joint can take away. That is less than 45 full actions away.
 //!
 //! # Episode End
 //!
@@ -58,9 +59,9 @@
 //!   original.
 //! - `domain`: `observation_noise` (m, on observed positions), `joint_offset` (rad, on every rotary
 //!   joint), `latency` (steps; the arm holds until the first action arrives).
-//! - `setup`: `base` (x, y, z in m and pitch in rad of the arm's base). The camera starts where that
-//!   of the nominal arm would, with the same roll; the arm must reach the corners of these
-//!   positions. The natural line of sight stays that of the nominal arm.
+//! - `setup`: `base` (x, y, z in m and pitch in rad of the arm's base). The starts are the same joints;
+//!   the natural line of sight stays that of the nominal arm, in front of whose camera a straight arm
+//!   must look at the ground.
 //!
 //! # Differences from the original
 //!
@@ -121,15 +122,10 @@ impl Task for MisOrient {
 
     fn new(options: &Options) -> Result<(Self, World), Rejection> {
         let mut arm = EcmArm::new(options, Control::Roll)?;
-        let corners = (0..8).map(|index: usize| {
-            let end = |joint: usize| START[joint][index >> joint & 1];
-            [end(0), end(1), end(2), 0.0]
-        });
-        for corner in corners {
-            if !arm.start_as_nominal(&corner) {
-                let why = "the arm must reach the corners of its starts within its joint limits";
-                return Err(options::refuse_setup(options, why));
-            }
+        arm.start_with(&[0.0; 4]);
+        if !arm.starts_comparable() {
+            let why = "a straight arm must look at the ground in front of the nominal camera";
+            return Err(options::refuse_setup(options, why));
         }
         let task = Self { arm, reward: options::reward_of(options) };
         Ok((task, World::new(Solver::HEAVY)))
@@ -157,13 +153,12 @@ impl Task for MisOrient {
     fn reset(&mut self, _: &mut World, rng: &mut Rng) {
         loop {
             let joints = START.map(|[low, high]| rng.uniform(low, high));
-            if !self.arm.start_as_nominal(&joints) {
-                continue; // the neighbourhoods of the corners are reached
-            }
+            self.arm.start_with(&joints);
             self.arm.reset(rng);
             let [least, most] = self.arm.roll_left();
-            if (least..=most).contains(&self.arm.sensed_misorientation()) {
-                break;
+            let levelled = (least..=most).contains(&self.arm.sensed_misorientation());
+            if levelled && self.arm.starts_comparable() {
+                break; // soon: near a straight arm, all starts are
             }
         }
     }
@@ -190,5 +185,30 @@ impl Task for MisOrient {
     fn expert(&self, _: &World, action: &mut [f32]) {
         let turn = self.arm.misorientation().clamp(-STEP_ROLL, STEP_ROLL);
         self.arm.encode(&Vector3::zeros(), turn, action);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_start_is_misoriented_by_what_the_roll_joint_can_take_away() {
+        let options = Options::new().resolve(&MisOrient::options()).unwrap();
+        let (mut task, mut world) = MisOrient::new(&options).unwrap();
+        let (mut farthest, mut action) = (0.0_f64, [0.0]);
+        for seed in 0..500 {
+            task.reset(&mut world, &mut Rng::new(seed, 0));
+            let start = task.arm.misorientation();
+            let steps = (start.abs() / STEP_ROLL).ceil();
+            farthest = farthest.max(steps);
+            for _ in 0..steps as u32 {
+                task.expert(&world, &mut action);
+                task.apply(&mut world, Some(&action));
+            }
+            let left = task.arm.misorientation();
+            assert!(left.abs() < 1e-6, "{seed}: {left} of {start}");
+        }
+        assert!((10.0..45.0).contains(&farthest), "{farthest}");
     }
 }

@@ -5,6 +5,7 @@
 //! | [`needle_reach`] | the closed jaw tip of a PSM goes to a point just above a needle |
 //! | [`gauze_retrieve`] | a PSM picks up a gauze and brings it to a goal |
 //! | [`needle_pick`] | a PSM picks up a needle and brings it to a goal |
+//! | [`peg_transfer`] | a PSM takes a block from one peg to another |
 //! | [`needle_regrasp`] | a PSM hands a needle to the other, which brings it to a goal |
 //! | [`ecm_reach`] | the endoscope goes to a position |
 //! | [`mis_orient`] | the endoscope is rolled until its picture is level |
@@ -36,6 +37,8 @@ pub mod objects;
 pub mod options;
 pub mod path;
 pub mod peg_board;
+pub mod peg_expert;
+pub mod peg_transfer;
 pub mod pick;
 pub mod psm_scene;
 pub mod start;
@@ -127,6 +130,7 @@ impl Registry {
         registry.register::<needle_reach::NeedleReach>();
         registry.register::<gauze_retrieve::GauzeRetrieve>();
         registry.register::<needle_pick::NeedlePick>();
+        registry.register::<peg_transfer::PegTransfer>();
         registry.register::<needle_regrasp::NeedleRegrasp>();
         registry.register::<ecm_reach::EcmReach>();
         registry.register::<mis_orient::MisOrient>();

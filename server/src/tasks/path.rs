@@ -59,12 +59,18 @@ impl Path {
     }
 }
 
+/// The middle of the region (x, y, m, world frame).
+pub fn middle() -> Vector2<f64> {
+    let [low, high] = REGION.map(Vector2::from);
+    (low + high) * 0.5
+}
+
 /// The points in order, each at some distance from the next.
 fn knots(rng: &mut Rng) -> [Vector2<f64>; POINTS] {
     let [low, high] = REGION.map(Vector2::from);
     let size = high - low;
     let mut spread = |axis: usize| rng.uniform(-CENTRE_SPREAD, CENTRE_SPREAD) * size[axis];
-    let centre = (low + high) * 0.5 + Vector2::new(spread(0), spread(1));
+    let centre = middle() + Vector2::new(spread(0), spread(1));
     // Round the centre: with small x first down along y, then with large x up again.
     let blocks = [
         (Vector2::new(low.x, centre.y), Vector2::new(centre.x, high.y), -Vector2::y()),
@@ -147,30 +153,33 @@ mod tests {
             let steps: Vec<f64> =
                 (0..LAP).map(|step| (path.at(step + 1) - path.at(step)).norm()).collect();
             let mean = steps.iter().sum::<f64>() / LAP as f64;
-            // A chord is shorter than its arc, in a tight bend by a little more.
-            let least = steps.iter().copied().fold(f64::INFINITY, f64::min);
+            // A chord is shorter than its arc: by a little, but for the sharpest bends.
             let most = steps.iter().copied().fold(0.0, f64::max);
-            assert!(most < 1.02 * mean && least > 0.8 * mean, "{seed}: {least} {mean} {most}");
+            let short = steps.iter().filter(|step| **step < 0.98 * mean).count();
+            assert!(most < 1.03 * mean && short < LAP / 20, "{seed}: {short} {mean} {most}");
+            // 20 s a lap: the speed that the task's description promises.
+            assert!((0.09..0.26).contains(&(mean / 0.1)), "{seed}: {mean}");
             assert_eq!(path.at(0), path.at(LAP));
         }
     }
 
     #[test]
-    fn the_curve_goes_smoothly_through_its_points() {
-        for seed in 0..20 {
-            let knots = knots(&mut Rng::new(seed, 0));
-            let curve = curve(&knots);
-            for (index, knot) in knots.iter().enumerate() {
-                let at =
-                    |offset: usize| curve[(index * PARTS + curve.len() + offset - 3) % curve.len()];
-                assert!((at(3) - knot).norm() < 1e-12);
-                // One-sided second-order first derivatives by the length of the chords agree.
-                let chord = |a: usize| (knots[(a + 1) % POINTS] - knots[a % POINTS]).norm();
-                let (before, after) = (chord(index + POINTS - 1), chord(index));
-                let left = (at(3) * 3.0 - at(2) * 4.0 + at(1)) / before;
-                let right = (at(4) * 4.0 - at(5) - at(3) * 3.0) / after;
-                assert!((left - right).norm() < 0.02 * right.norm().max(left.norm()), "{seed}");
-            }
+    fn the_curve_goes_through_its_points_and_round_a_circle() {
+        let on_circle = |part: f64| {
+            let angle = part * std::f64::consts::TAU;
+            Vector2::new(libm::cos(angle), libm::sin(angle)) * 0.3
+        };
+        let knots: [_; POINTS] =
+            std::array::from_fn(|index| on_circle(index as f64 / POINTS as f64));
+        let curve = curve(&knots);
+        for (index, point) in curve.iter().enumerate() {
+            // A cubic spline through 12 points of a circle is off by 0.02 % of its radius at most,
+            // the seam included, where one with other ends would be off by more than 1 %.
+            let part = index as f64 / curve.len() as f64;
+            assert!((point - on_circle(part)).norm() < 3e-4, "{part}: {point}");
+        }
+        for (index, knot) in knots.iter().enumerate() {
+            assert!((curve[index * PARTS] - knot).norm() < 1e-12);
         }
     }
 }

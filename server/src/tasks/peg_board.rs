@@ -51,19 +51,25 @@ impl Block {
     }
 
     /// The middle of one of its walls (0, 1, 2), scene frame: x towards the axis of the ring, z along
-    /// it. Without the world's pose: in the block's frame, [`Self::from_wall`].
+    /// it.
     pub fn scene_from_wall(&self, world: &World, wall: usize) -> Pose {
-        world.pose(self.body) * Self::from_wall(wall)
+        world.pose(self.body) * Self::block_from_wall(wall)
     }
 
     /// The middle of one of its walls (0, 1, 2) in the block.
-    pub fn from_wall(wall: usize) -> Pose {
+    pub fn block_from_wall(wall: usize) -> Pose {
         Model::block().body_from(["wall_0", "wall_1", "wall_2"][wall])
     }
 
     /// Half its height, m.
     pub fn half_height() -> f64 {
         Model::block().aabb(&Pose::identity()).max.z
+    }
+
+    /// Distance of its corners from its axis, m.
+    pub fn radius() -> f64 {
+        let wall = Model::block().parts[0].aabb(&Pose::identity());
+        wall.min.xy().norm()
     }
 
     /// Half the thickness of its walls, m.
@@ -99,6 +105,9 @@ pub struct PegBoard {
 }
 
 impl PegBoard {
+    /// Number of its pegs.
+    pub const PEGS: usize = 12;
+
     /// Puts the board and so many blocks into a world, see [`tray::bare_table`]; at most six.
     pub fn insert(world: &mut World, preset: Preset, blocks: usize) -> Self {
         tray::furnish(world, Model::pegboard(), ORIGIN);
@@ -131,6 +140,11 @@ impl PegBoard {
         Model::pegboard().parts[1 + index].aabb(&frames::pose(ORIGIN, [0.0; 3]))
     }
 
+    /// Radius of the pegs, as blocks and fingers meet them, m.
+    pub fn peg_radius() -> f64 {
+        0.5 * Self::peg_box(0).extents().x
+    }
+
     /// The blocks.
     pub fn blocks(&self) -> &[Block] {
         &self.blocks
@@ -139,12 +153,17 @@ impl PegBoard {
     /// Stands the blocks on pegs drawn from the sources, at rest, each turned by up to 30° either
     /// way, and draws a block and a target for it.
     pub fn lay_out(&self, world: &mut World, rng: &mut Rng) -> Layout {
-        let target = shuffled(TARGETS, rng)[0];
+        let target = Self::draw_target(rng);
         let sources = shuffled(SOURCES, rng);
         for (block, peg) in self.blocks.iter().zip(sources) {
             block.stand(world, peg, rng.uniform(-YAW, YAW));
         }
         Layout { block: self.blocks[rng.index(self.blocks.len())], target }
+    }
+
+    /// A peg drawn from the targets.
+    pub fn draw_target(rng: &mut Rng) -> usize {
+        TARGETS.start + rng.index(TARGETS.len())
     }
 
     /// Whether a block is on a peg: as the goal's rule has it.
@@ -247,5 +266,6 @@ mod tests {
         assert!((peg.centre() - PegBoard::peg(7)).norm() < 1e-9);
         assert!((Block::half_height() - 0.00725).abs() < 1e-9);
         assert!((Block::half_wall() - 0.0008).abs() < 1e-9);
+        assert!((Block::radius() - 0.00904).abs() < 1e-5);
     }
 }

@@ -45,8 +45,8 @@
 //! # Starting State
 //!
 //! Joints 0, 0, 40 mm, 0. Cubes of 100 mm, their centres uniform in x ±0.5 m, y ±0.4 m, z 0.05 m, no
-//! two nearer than 0.15 m; the target turned by up to ±90°, the others by up to ±180°. A target near
-//! the border may be out of the picture.
+//! two nearer than 0.15 m; the target turned by up to ±90°, the others by up to ±180°. At
+//! least a part of the target is in the picture.
 //!
 //! # Episode End
 //!
@@ -62,8 +62,9 @@
 //!   limits instead of the original's, and the original's law itself, see below.
 //! - `domain`: `observation_noise` (m, on observed positions), `joint_offset` (rad, on every rotary
 //!   joint), `latency` (steps; the arm holds until the first action arrives).
-//! - `setup`: `base` (x, y, z in m and pitch in rad of the arm's base). The camera starts where that
-//!   of the nominal arm would. The natural line of sight stays that of the nominal arm.
+//! - `setup`: `base` (x, y, z in m and pitch in rad of the arm's base). The start is the same joints,
+//!   and must have the middle of the targets' region in the picture; the natural line of sight stays
+//!   that of the nominal arm.
 //!
 //! # Differences from the original
 //!
@@ -195,5 +196,25 @@ impl Task for StaticTrack {
 
     fn expert(&self, _: &World, action: &mut [f32]) {
         self.tracker.expert(action);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_episode_has_nineteen_cubes_and_one_of_them_is_the_target() {
+        let options = Options::new().resolve(&StaticTrack::options()).unwrap();
+        let (mut task, mut world) = StaticTrack::new(&options).unwrap();
+        for seed in 0..200 {
+            task.reset(&mut world, &mut Rng::new(seed, 0));
+            let cubes: Vec<_> = task.cubes().collect();
+            assert_eq!(cubes.len(), 19);
+            assert_eq!(cubes.iter().filter(|cube| cube.colour == cubes[0].colour).count(), 1);
+            let place = cubes[0].centre;
+            assert!(place.x.abs() <= 0.5 && place.y.abs() <= 0.4, "{place}");
+            assert!(task.tracker.sighting().in_picture, "{seed}: {place}");
+        }
     }
 }

@@ -62,6 +62,10 @@ const SURROL_ROLL_GAIN: f64 = 25.0;
 /// How much the region grows on every side where a place drawn in it is not free, m.
 const GROWTH: f64 = 0.001;
 
+/// Distance from the middle of the targets' region, along x and y, at which a target must be in the
+/// picture at the start, m.
+const MIDDLE: f64 = 0.1;
+
 /// Where cubes may stand.
 #[derive(Debug, Clone, Copy)]
 pub struct Layout {
@@ -131,20 +135,32 @@ impl Tracker {
         EcmArm::setup_rows()
     }
 
-    /// An endoscope that starts as the nominal arm with `joints` (rad; index 2 in m), without cubes.
+    /// An endoscope that starts with `joints` (rad; index 2 in m), and one cube, the target, in the
+    /// middle of the region of targets, around which the endoscope must have it in its picture.
     pub fn new(options: &Options, joints: &[f64; 4], target: Cube) -> Result<Self, Rejection> {
         let mut arm = EcmArm::new(options, Control::Velocity)?;
-        if !arm.start_as_nominal(joints) {
-            return Err(options::refuse_setup(options, "the arm must reach its start"));
-        }
-        Ok(Self {
+        arm.start_with(joints);
+        let mut tracker = Self {
             arm,
             preset: options::preset_of(options),
             target,
             distractors: Vec::new(),
             sighting: Sighting { in_view: false, in_picture: false, point: Vector2::zeros() },
             misorientation: 0.0,
-        })
+        };
+        tracker.arm.reset(&mut Rng::new(0, 0));
+        let view = tracker.view();
+        let around = [[1.0, 1.0], [1.0, -1.0], [-1.0, 1.0], [-1.0, -1.0]];
+        let in_picture = around.map(|[x, y]| {
+            let mut moved = tracker.target.clone();
+            moved.centre += Vector3::new(x, y, 0.0) * MIDDLE;
+            view.holds(&moved)
+        });
+        if in_picture == [true; 4] {
+            return Ok(tracker);
+        }
+        let why = "the middle of the targets' region must be in the picture at the start";
+        Err(options::refuse_setup(options, why))
     }
 
     /// Brings the arm to its start; what is there to see is still that of before.
