@@ -92,9 +92,10 @@ fn documented_as_constant((id, options): &(String, Options), element: &Element) 
         "NeedleReach-v0" => {
             element.name == "jaw" || (paper && element.name.starts_with("wrist link"))
         }
-        "NeedlePick-v0" => {
+        "NeedlePick-v0" | "PegTransfer-v0" => {
             paper && ["wrist link roll", "wrist link pitch"].contains(&element.name.as_str())
         }
+        "GauzeRetrieve-v0" => paper && element.name.starts_with("wrist link"),
         "EcmReach-v0" => paper && element.name == "camera yaw",
         _ => false,
     }
@@ -126,6 +127,8 @@ fn dimensions_are_those_of_the_paper() {
     };
     assert_eq!(dims("NeedleReach-v0"), (5, 7, 3, 50));
     assert_eq!(dims("NeedlePick-v0"), (5, 19, 3, 50));
+    assert_eq!(dims("GauzeRetrieve-v0"), (5, 19, 3, 50));
+    assert_eq!(dims("PegTransfer-v0"), (5, 19, 3, 50));
     assert_eq!(dims("EcmReach-v0"), (3, 6, 3, 50));
 }
 
@@ -453,10 +456,12 @@ fn randomised_domains_are_drawn_by_episode() {
 
 #[test]
 fn a_moved_arm_shows_and_does_the_same() {
-    let setups: [(&str, &[Row]); 4] = [
+    let setups: [(&str, &[Row]); 6] = [
         ("NeedleReach-v0", &[("table_height", &[0.67])]),
         ("NeedleReach-v0", &[("base", &[0.06, 0.25, 0.845, -1.9]), ("table_height", &[0.672])]),
         ("NeedlePick-v0", &[("table_height", &[0.67])]),
+        ("GauzeRetrieve-v0", &[("table_height", &[0.67])]),
+        ("PegTransfer-v0", &[("table_height", &[0.67])]),
         ("EcmReach-v0", &[("base", &[-0.04, 0.01, 1.01, 0.5])]),
     ];
     for (id, rows) in setups {
