@@ -88,13 +88,13 @@ pub fn bring_about<T: Task>(
 pub(crate) struct Starts {
     task: Box<dyn AnyTask>,
     world: World,
-    states: [OnceLock<(Box<dyn AnyTask>, World)>; COUNT],
+    states: Box<[OnceLock<(Box<dyn AnyTask>, World)>]>,
 }
 
 impl Starts {
     /// The states of `task` in `world`; none is made yet.
     pub(crate) fn new(task: Box<dyn AnyTask>, world: World) -> Self {
-        Self { task, world, states: [const { OnceLock::new() }; COUNT] }
+        Self { task, world, states: (0..COUNT).map(|_| OnceLock::new()).collect() }
     }
 
     /// One of the states.
