@@ -84,11 +84,14 @@ pub fn bring_about<T: Task>(
     tracing::warn!(task = T::ID, "the expert failed to prepare a start; it is as far as it came");
 }
 
+/// A task in its world, where episodes begin.
+type State = (Box<dyn AnyTask>, World);
+
 /// The states in which episodes begin.
 pub(crate) struct Starts {
     task: Box<dyn AnyTask>,
     world: World,
-    states: Box<[OnceLock<(Box<dyn AnyTask>, World)>]>,
+    states: Box<[OnceLock<State>]>,
 }
 
 impl Starts {
@@ -98,7 +101,7 @@ impl Starts {
     }
 
     /// One of the states.
-    pub(crate) fn draw(&self, rng: &mut Rng) -> &(Box<dyn AnyTask>, World) {
+    pub(crate) fn draw(&self, rng: &mut Rng) -> &State {
         let index = rng.index(COUNT);
         self.states[index].get_or_init(|| {
             let (mut task, mut world) = (self.task.clone(), self.world.clone());
