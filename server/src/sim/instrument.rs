@@ -85,7 +85,7 @@ impl Posture {
     }
 
     /// How far the clevises of instruments in two postures are apart, m; below 0 they overlap.
-    pub(super) fn gap(&self, other: &Self) -> f64 {
+    pub fn gap(&self, other: &Self) -> f64 {
         let clevis = |posture: &Self| clevis_ends().map(|end| posture.world_from_wrist * end);
         frames::segment_distance(&clevis(self), &clevis(other)) - 2.0 * CLEVIS_RADIUS
     }

@@ -20,15 +20,7 @@ pub fn observation_elements(
     places: [&str; 2],
     preset: Preset,
 ) -> Vec<Element> {
-    let named = |index: usize, mut element: Element| {
-        element.name = format!("PSM{} {}", index + 1, element.name);
-        element
-    };
-    let mut elements = vec![];
-    for (index, arm) in arms.iter().enumerate() {
-        let own = arm.observation_elements().into_iter();
-        elements.extend(own.map(|element| named(index, element)));
-    }
+    let mut elements = named(arms.map(PsmArm::observation_elements));
     elements.extend(options::position_elements(object, "scene", &THEATRE, preset));
     for (index, arm) in arms.iter().enumerate() {
         let reach = arm.reach();
@@ -41,6 +33,21 @@ pub fn observation_elements(
         elements.extend(options::euler_elements(place, "scene"));
     }
     elements
+}
+
+/// The elements of an action: those of PSM1, then those of PSM2.
+pub fn action_elements(arms: [&PsmArm; 2]) -> Vec<Element> {
+    named(arms.map(PsmArm::action_elements))
+}
+
+fn named(elements: [Vec<Element>; 2]) -> Vec<Element> {
+    let named = |(index, elements): (usize, Vec<Element>)| {
+        elements.into_iter().map(move |mut element| {
+            element.name = format!("PSM{} {}", index + 1, element.name);
+            element
+        })
+    };
+    elements.into_iter().enumerate().flat_map(named).collect()
 }
 
 /// Writes what is observed: both arms (7 each), the object's origin (3), that less PSM1's and PSM2's
@@ -73,9 +80,6 @@ pub fn observe(
     }
 }
 
-/// How far before its grasp the taking arm opens its jaws, m.
-const HOVER: f64 = 0.005;
-
 /// How exactly an arm is where it shall be, m and rad.
 const ALIGNED: f64 = 0.3e-3;
 const TURNED: f64 = 0.02;
@@ -88,6 +92,9 @@ const OPEN: f64 = 0.9 * JAW_OPEN;
 
 /// Jaws that closed to less than this hold nothing, rad.
 const EMPTY: f64 = 0.02;
+
+/// Speed below which an object that both arms hold is at rest, m/s.
+const AT_REST: f64 = 0.5e-3;
 
 /// Distance of an open jaw's tip from the object at which the arm is clear of it, m.
 const CLEAR: f64 = 0.003;
@@ -107,6 +114,8 @@ pub struct HandOver {
     pub offer: Pose,
     /// The taking arm's wrist that grasps the object which is offered; it comes along its jaws.
     pub take: Pose,
+    /// How far before its grasp the taking arm opens its jaws, m.
+    pub hover: f64,
     /// Whether closed jaws near the object have it as soon as the other arm lets go, whatever they
     /// touch.
     pub by_nearness: bool,
@@ -142,7 +151,11 @@ impl HandOver {
                 let offer = if offered { giver_wrist } else { self.offer };
                 Stage::Under([(offer, JAW_CLOSED), self.taking(taker, world, offered)])
             }
-            (true, true) => Stage::Under([(giver_wrist, JAW_OPEN), (taker_wrist, JAW_CLOSED)]),
+            (true, true) => {
+                let at_rest = world.velocity(self.object).norm() < AT_REST;
+                let giver_jaw = if at_rest { JAW_OPEN } else { JAW_CLOSED };
+                Stage::Under([(giver_wrist, giver_jaw), (taker_wrist, JAW_CLOSED)])
+            }
             (false, true) => {
                 let tip = Point3::from(giver.tip());
                 let clear = world.distance(self.object, &tip) > CLEAR;
@@ -154,19 +167,17 @@ impl HandOver {
     }
 
     fn taking(&self, taker: &PsmArm, world: &World, offered: bool) -> Waypoint {
-        let hover = self.take * Pose::translation(0.0, 0.0, -HOVER);
+        let hover = self.take * Pose::translation(0.0, 0.0, -self.hover);
         let opening = taker.opening(world);
         let off = self.take.inv_mul(taker.scene_from_wrist());
         let turned = off.rotation.angle();
         let aside = off.translation.vector.xy().norm();
         let (aligned, short) = (aside < ALIGNED && turned < TURNED, -off.translation.z);
-        if !offered {
+        let there = aligned && short.abs() < ALIGNED;
+        let closing = opening < OPEN && aside.max(short.abs()) < SHIFTED && turned < 2.0 * TURNED;
+        if !offered || opening < EMPTY {
             (hover, JAW_OPEN)
-        } else if opening < EMPTY {
-            (hover, JAW_OPEN)
-        } else if opening < OPEN && aside.max(short.abs()) < SHIFTED && turned < 2.0 * TURNED {
-            (*taker.scene_from_wrist(), JAW_CLOSED)
-        } else if aligned && short.abs() < ALIGNED {
+        } else if there || closing {
             (*taker.scene_from_wrist(), JAW_CLOSED)
         } else if aligned && opening > OPEN {
             (self.take, JAW_OPEN)

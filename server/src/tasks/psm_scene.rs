@@ -95,12 +95,8 @@ const LOCKED: f64 = f64::INFINITY;
 
 /// Force with which each finger squeezes, N. What an engine's contact can bear grows with the mass of
 /// the object: 1 N holds real objects, 3 N the original's of 10 g.
-fn squeeze_of(preset: Preset) -> f64 {
-    match preset {
-        Preset::Paper => 1.0,
-        Preset::Surrol => 3.0,
-    }
-}
+pub const SQUEEZE: f64 = 1.0;
+const SQUEEZE_HEAVY: f64 = 3.0;
 
 /// What the `paper` action of a task moves besides the position.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -135,12 +131,14 @@ pub struct Station {
     pub start: Pose,
     /// Height of what lies under the jaws, m.
     pub support: f64,
+    /// Force with which each finger squeezes under `preset = "paper"`, N; [`SQUEEZE`] where none is given.
+    pub squeeze: Option<f64>,
 }
 
 impl Station {
     /// PSM1 in [`WORKSPACE`], the wrist at `start` (m), jaws straight down.
     pub fn psm1(start: [f64; 3], support: f64) -> Self {
-        Self { arm: 0, workspace: WORKSPACE, start: straight_down(start), support }
+        Self { arm: 0, workspace: WORKSPACE, start: straight_down(start), support, squeeze: None }
     }
 }
 
@@ -218,7 +216,11 @@ impl PsmArm {
             instrument: Instrument::insert(
                 world,
                 Posture { world_from_wrist: start, jaw: JAW_CLOSED },
-                if paper.jaw { squeeze_of(options::preset_of(options)) } else { LOCKED },
+                match options::preset_of(options) {
+                    _ if !paper.jaw => LOCKED,
+                    Preset::Paper => station.squeeze.unwrap_or(SQUEEZE),
+                    Preset::Surrol => SQUEEZE_HEAVY,
+                },
             ),
             joints: [0.0, 0.0, 0.1, 0.0, 0.0, 0.0],
             offsets: [0.0; 6],
@@ -700,6 +702,74 @@ mod tests {
                 assert!(arm.joints.iter().zip(limits).all(|(q, l)| l.min <= *q && *q <= l.max));
             }
             assert!(lowest < pad().max.z + 1e-3, "{mode}: never came down, {lowest}");
+        }
+    }
+
+    /// PSM1 or PSM2 where both hand over a needle, its jaws at this pitch.
+    fn pitching_arm(arm: usize, pitch: f64) -> (World, PsmArm) {
+        let mut world = World::new(Solver::LIGHT);
+        let paper = PaperAction { turn: Turn::Pitch, jaw: true };
+        let side = [1.0, -1.0][arm];
+        let y = 0.045 * side;
+        let workspace = Aabb::new([0.55, y - 0.035, 0.695], [0.60, y + 0.035, 0.745]);
+        let at = workspace.centre() + Vector3::z() * TIP_OFFSET;
+        let start = Pose::from_parts(at.into(), pitched(arm, pitch));
+        let station = Station { arm, workspace, start, support: pad().max.z, squeeze: None };
+        let mut arm = PsmArm::insert(&mut world, &Options::new(), paper, station).unwrap();
+        arm.reset(&mut world, &mut Rng::new(0, 0));
+        (world, arm)
+    }
+
+    #[test]
+    fn the_pitch_turns_jaws_about_themselves_within_a_quarter_turn() {
+        for (index, [roll, yaw]) in PITCHED.into_iter().enumerate() {
+            let (mut world, mut arm) = pitching_arm(index, 0.0);
+            let along = arm.scene_from_wrist().rotation * Vector3::z();
+            assert!((along - Vector3::x()).norm() < 1e-12, "{along}");
+            let mut seen = [0.0; PsmArm::OBSERVED];
+            for (turn, pitch) in [(1.0, 15.0), (0.4, 21.0), (-1.0, 6.0)] {
+                arm.apply(&mut world, Some(&[0.0, 0.0, 0.0, turn, -1.0]));
+                arm.observe(&world, &mut seen);
+                let expected = [roll, pitch * DEGREE, yaw];
+                for (found, expected) in seen[3..6].iter().zip(expected) {
+                    assert!((f64::from(*found) - expected).abs() < 1e-6, "{seen:?}");
+                }
+            }
+            for _ in 0..10 {
+                arm.apply(&mut world, Some(&[0.0, 0.0, 0.0, -1.0, -1.0]));
+            }
+            arm.observe(&world, &mut seen);
+            // The original's numbers where roll and yaw are not determined.
+            for (found, expected) in seen[3..6].iter().zip([0.0, -FRAC_PI_2, -FRAC_PI_2]) {
+                assert!((f64::from(*found) - expected).abs() < 1e-6, "{seen:?}");
+            }
+        }
+    }
+
+    #[test]
+    fn every_pitch_can_be_reached_all_over_the_workspace() {
+        for index in 0..2 {
+            let (_, arm) = pitching_arm(index, -FRAC_PI_2);
+            for corner in arm.reach.corners() {
+                for step in -6..=6 {
+                    let pitch = f64::from(step) * STEP_PITCH;
+                    let pose = Pose::from_parts(corner.coords.into(), pitched(index, pitch));
+                    let joints = arm.solve(&arm.confined(pose));
+                    assert!(joints.is_some(), "PSM{} at {corner}, {pitch}", index + 1);
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn jaws_close_across_what_their_pitch_is_chosen_for() {
+        for index in 0..2 {
+            for angle in [-1.4, -0.5, 0.0, 0.3, 1.5] {
+                let along = Vector3::new(0.3, libm::cos(angle), libm::sin(angle));
+                let wrist = pitched(index, pitch_across(index, &along));
+                assert!((wrist * Vector3::y()).dot(&along).abs() < 1e-12, "{index} {angle}");
+                assert!((pitch_of(index, &wrist) - pitch_across(index, &along)).abs() < 1e-12);
+            }
         }
     }
 }
