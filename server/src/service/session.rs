@@ -143,7 +143,9 @@ impl SessionHandle {
     /// Drops snapshots of the session.
     pub(super) fn forget(&self, snapshots: &[u64]) -> Result<(), Rejection> {
         self.shared.with_store(|store| {
-            snapshots.iter().for_each(|number| store.forget(*number));
+            for number in snapshots {
+                store.forget(*number);
+            }
             Ok(())
         })
     }
@@ -415,7 +417,9 @@ fn saved(
         states.insert(number, Arc::new(env?));
     }
     shared.with_store(|store| {
-        states.iter().for_each(|(number, state)| store.replace(*number, state));
+        for (number, state) in &states {
+            store.replace(*number, state);
+        }
         Ok(())
     })?;
     let state = |(number, saved): (&u64, Saved)| match saved {
