@@ -93,8 +93,9 @@ const OPEN: f64 = 0.9 * JAW_OPEN;
 /// Jaws that closed to less than this hold nothing, rad.
 const EMPTY: f64 = 0.02;
 
-/// Speed below which an object that both arms hold is at rest, m/s.
-const AT_REST: f64 = 0.5e-3;
+/// For how many steps both arms hold an object before the giving one opens its jaws: until the taking
+/// one's have closed and what they moved is at rest.
+const GRIPPED: u32 = 2;
 
 /// Distance of an open jaw's tip from the object at which the arm is clear of it, m.
 const CLEAR: f64 = 0.003;
@@ -105,7 +106,7 @@ const BACK: f64 = 0.01;
 /// What an arm is to do: where its wrist goes, and its jaw angle, rad.
 pub type Waypoint = (Pose, f64);
 
-/// A hand-over as the expert does it. It looks only at the present state.
+/// A hand-over as the expert does it.
 #[derive(Debug, Clone, Copy)]
 pub struct HandOver {
     /// What is handed over.
@@ -114,6 +115,8 @@ pub struct HandOver {
     pub offer: Pose,
     /// The taking arm's wrist that grasps the object which is offered; it comes along its jaws.
     pub take: Pose,
+    /// For how many steps both have held the object: see [`holding_together`].
+    pub together: u32,
     /// How far before its grasp the taking arm opens its jaws, m.
     pub hover: f64,
     /// Whether closed jaws near the object have it as soon as the other arm lets go, whatever they
@@ -152,8 +155,8 @@ impl HandOver {
                 Stage::Under([(offer, JAW_CLOSED), self.taking(taker, world, offered)])
             }
             (true, true) => {
-                let at_rest = world.velocity(self.object).norm() < AT_REST;
-                let giver_jaw = if at_rest { JAW_OPEN } else { JAW_CLOSED };
+                let safe = self.by_nearness || self.together >= GRIPPED;
+                let giver_jaw = if safe { JAW_OPEN } else { JAW_CLOSED };
                 Stage::Under([(giver_wrist, giver_jaw), (taker_wrist, JAW_CLOSED)])
             }
             (false, true) => {
@@ -189,6 +192,11 @@ impl HandOver {
     fn has_closed(&self, taker: &PsmArm, world: &World) -> bool {
         is_at(taker.scene_from_wrist(), &self.take) && taker.opening(world) < EMPTY
     }
+}
+
+/// For how many steps both arms have held `object` after another one, if it was `before` until then.
+pub fn holding_together(arms: [&PsmArm; 2], world: &World, object: BodyId, before: u32) -> u32 {
+    if arms.iter().all(|arm| arm.holds(world, object)) { before + 1 } else { 0 }
 }
 
 /// Whether a wrist is where it shall be.

@@ -183,6 +183,8 @@ pub struct NeedleRegrasp {
     grasp: Grasp,
     /// Whether jaws have the needle when they close near it (`grasp = "approx"`).
     by_nearness: bool,
+    /// For how many steps both arms have held the needle.
+    together: u32,
     preset: Preset,
     reward: Reward,
     goal: Vector3<f64>,
@@ -200,7 +202,7 @@ impl Task for NeedleRegrasp {
             options::action(),
             options::observation(),
             options::preset(),
-            options::domain(),
+            options::grasp_domain(),
             options::setup(&PsmArm::setup_rows(2)),
         ]
     }
@@ -225,6 +227,7 @@ impl Task for NeedleRegrasp {
             needle,
             grasp,
             by_nearness: matches!(mode, GraspMode::Approx { .. }),
+            together: 0,
             preset,
             reward: options::reward_of(options),
             goal: Vector3::zeros(),
@@ -273,6 +276,8 @@ impl Task for NeedleRegrasp {
     fn apply(&mut self, world: &mut World, action: Option<&[f32]>) {
         let [one, two] = &mut self.arms;
         psm_scene::step([one, two], world, &mut self.grasp, action, |_| true);
+        let (arms, needle) = ([&*one, &*two], self.needle.body());
+        self.together = bimanual::holding_together(arms, world, needle, self.together);
     }
 
     fn observe(
@@ -364,6 +369,7 @@ impl NeedleRegrasp {
             object: self.needle.body(),
             offer: levelled * one.scene_from_wrist(),
             take: grasp_at(1, &(levelled * point)),
+            together: self.together,
             hover: HOVER,
             by_nearness: self.by_nearness,
         };

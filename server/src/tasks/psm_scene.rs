@@ -226,9 +226,10 @@ impl PsmArm {
             offsets: [0.0; 6],
             scene_from_wrist: start,
         };
-        for corner in arm.reach.corners() {
-            let corner = Pose::from_parts(corner.coords.into(), start.rotation);
-            if arm.solve(&arm.confined(corner)).is_none() {
+        for corner in station.workspace.corners() {
+            let wrist = corner.coords + Vector3::z() * TIP_OFFSET;
+            let wrist = Pose::from_parts(wrist.into(), start.rotation);
+            if arm.solve(&arm.confined(wrist)).is_none() {
                 let why = "the arm must reach all of the workspace within its joint limits";
                 return Err(options::refuse_setup(options, why));
             }
