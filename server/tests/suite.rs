@@ -93,17 +93,23 @@ fn make((id, options): &(String, Options)) -> Env {
 /// Whether the task's documentation says that an element never changes under these options.
 fn documented_as_constant((id, options): &(String, Options), element: &Element) -> bool {
     let paper = options.text("action").is_none_or(|mode| mode == "paper");
+    // Fingers pass through an object that a tie will hold, which is carried as it lay.
+    let tied = options.text("grasp") == Some("approx");
+    let objects = ["mid arc", "crest", "wall 1"];
+    let is_tilt = objects.iter().any(|object| {
+        ["roll", "pitch"].iter().any(|angle| element.name == format!("{object} {angle}"))
+    });
     match id.as_str() {
         "NeedleReach-v0" => {
             element.name == "jaw" || (paper && element.name.starts_with("wrist link"))
         }
-        "NeedlePick-v0" => {
-            let tied = options.text("grasp") == Some("approx");
+        "NeedlePick-v0" | "PegTransfer-v0" => {
             let name = element.name.as_str();
             let of_wrist = ["wrist link roll", "wrist link pitch"].contains(&name);
-            // Fingers pass through the needle, which is carried as it lay.
-            let of_needle = tied && ["mid arc roll", "mid arc pitch"].contains(&name);
-            paper && (of_wrist || of_needle)
+            paper && (of_wrist || (tied && is_tilt))
+        }
+        "GauzeRetrieve-v0" => {
+            paper && (element.name.starts_with("wrist link") || (tied && is_tilt))
         }
         "EcmReach-v0" => paper && element.name == "camera yaw",
         "StaticTrack-v0" => element.name == "target in view",
@@ -137,6 +143,8 @@ fn dimensions_are_those_of_the_paper() {
     };
     assert_eq!(dims("NeedleReach-v0"), (5, 7, 3, 50));
     assert_eq!(dims("NeedlePick-v0"), (5, 19, 3, 50));
+    assert_eq!(dims("GauzeRetrieve-v0"), (5, 19, 3, 50));
+    assert_eq!(dims("PegTransfer-v0"), (5, 19, 3, 50));
     assert_eq!(dims("EcmReach-v0"), (3, 6, 3, 50));
     assert_eq!(dims("MisOrient-v0"), (1, 9, 1, 50));
     assert_eq!(dims("StaticTrack-v0"), (3, 10, 3, 50));
@@ -565,10 +573,12 @@ fn randomised_domains_are_drawn_by_episode() {
 
 #[test]
 fn a_moved_arm_shows_and_does_the_same() {
-    let setups: [(&str, &[Row]); 4] = [
+    let setups: [(&str, &[Row]); 6] = [
         ("NeedleReach-v0", &[("table_height", &[0.67])]),
         ("NeedleReach-v0", &[("base", &[0.06, 0.25, 0.845, -1.9]), ("table_height", &[0.672])]),
         ("NeedlePick-v0", &[("table_height", &[0.67])]),
+        ("GauzeRetrieve-v0", &[("table_height", &[0.67])]),
+        ("PegTransfer-v0", &[("table_height", &[0.67])]),
         ("EcmReach-v0", &[("base", &[-0.04, 0.01, 1.01, 0.5])]),
     ];
     for (id, rows) in setups {

@@ -228,7 +228,7 @@ class TrocarVectorEnv(
         latest = self._latest.arrays(self._copy)
         for name in (*EPISODE, "expert_action"):
             del latest[name]
-        return latest
+        return shown(latest)
 
     def expert_action(self) -> NDArray[np.float32]:
         """What the scripted expert would do now: (num_envs, action dim); with ``expert=True``."""

@@ -14,9 +14,11 @@ use rapier3d::parry::shape::Segment;
 /// A rigid transform, translation in m.
 pub type Pose = Isometry3<f64>;
 
-/// Engine lengths per metre. Contacts of millimetre-sized parts fail in the engine's narrow phase
-/// below a factor of 5; 10 held in every trial.
-pub(super) const SCALE: f64 = 10.0;
+/// Engine lengths per metre. The engine's search for the nearest points of two parts stops where
+/// twice the area of a triangle between their features is below 1.1e-3 (parry, `gjk::eps_tol`): in
+/// centimetres that is 0.1 mm × 1.1 mm, in metres 30 mm × 37 mm, and the edges of jaws would pass
+/// through wires. 30 to 1000 behave alike.
+pub(super) const SCALE: f64 = 100.0;
 
 /// The pose at `position` (m) with the orientation of extrinsic XYZ Euler angles (rad), that is
 /// Rz(yaw)·Ry(pitch)·Rx(roll).
@@ -209,7 +211,7 @@ mod tests {
     fn the_engine_gets_scaled_lengths_and_gives_back_metres() {
         let there = pose([0.55, -0.02, 0.68], [0.1, -0.2, 0.3]);
         let engine = to_engine(&there);
-        assert!((engine.translation.x - 5.5).abs() < 1e-6);
+        assert!((engine.translation.x - 55.0).abs() < 1e-5);
         let back = from_engine(&engine);
         assert!((back.translation.vector - there.translation.vector).norm() < 1e-7);
         assert!(back.rotation.angle_to(&there.rotation) < 1e-6);

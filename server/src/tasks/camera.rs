@@ -77,20 +77,18 @@ impl View {
     pub fn sight(&self, target: &Cube, others: &[Cube]) -> Sighting {
         let outline = self.outline(target);
         let in_view = outline.is_some() && self.sees(target, others);
-        let point = match outline {
-            Some(Outline { centroid, .. }) if in_view => centroid,
-            _ => {
-                let centre = self.in_image_axes(&target.centre);
-                project(&Vector3::new(centre.x, centre.y, centre.z.max(NEAR)))
-                    .map(|number| number.clamp(-IMAGE_BOUND, IMAGE_BOUND))
-            }
-        };
+        let point = outline.filter(|_| in_view).unwrap_or_else(|| {
+            let centre = self.in_image_axes(&target.centre);
+            project(&Vector3::new(centre.x, centre.y, centre.z.max(NEAR)))
+                .map(|number| number.clamp(-IMAGE_BOUND, IMAGE_BOUND))
+        });
         Sighting { in_view, in_picture: outline.is_some(), point }
     }
 
     /// Whether all of `cube` is in the picture, hidden or not.
     pub fn holds(&self, cube: &Cube) -> bool {
-        self.outline(cube).is_some_and(|outline| outline.whole)
+        let in_picture = |corner: &Vector3<f64>| corner.z > NEAR && project(corner).amax() <= 1.0;
+        self.corners(cube).iter().all(in_picture)
     }
 
     /// A point (m, world frame) in image axes.
@@ -99,15 +97,20 @@ impl View {
         Vector3::new(-x, -y, z)
     }
 
-    /// The part in the picture of the projection of `cube`, which is a convex polygon.
-    fn outline(&self, cube: &Cube) -> Option<Outline> {
+    /// The corners of `cube` in image axes, numbered by the bits of their indices.
+    fn corners(&self, cube: &Cube) -> [Vector3<f64>; 8] {
         let half = 0.5 * cube.edge;
         let world_from_cube = cube.world_from_cube();
-        let corners: [Vector3<f64>; 8] = std::array::from_fn(|index| {
+        std::array::from_fn(|index| {
             let along = |axis: usize| if index >> axis & 1 == 0 { -half } else { half };
             let corner = world_from_cube * Point3::new(along(0), along(1), along(2));
             self.in_image_axes(&corner)
-        });
+        })
+    }
+
+    /// The area centroid of the part in the picture of the projection of `cube`, a convex polygon.
+    fn outline(&self, cube: &Cube) -> Option<Vector2<f64>> {
+        let corners = self.corners(cube);
         let mut points: Vec<_> =
             corners.iter().filter(|corner| corner.z > NEAR).map(project).collect();
         if points.is_empty() {
@@ -116,10 +119,9 @@ impl View {
         if points.len() < corners.len() {
             points.extend(cut_by_near_plane(&corners).map(|point| project(&point)));
         }
-        let whole = points.len() == corners.len() && points.iter().all(|point| point.amax() <= 1.0);
+        let whole = points.iter().all(|point| point.amax() <= 1.0);
         let hull = convex_hull(points);
         centroid(&if whole { hull } else { within_picture(hull) })
-            .map(|centroid| Outline { centroid, whole })
     }
 
     /// Whether some sample of the surface of `target` is in the picture and hidden by none of
@@ -148,14 +150,6 @@ impl View {
                 })
         })
     }
-}
-
-/// The visible part of an outline.
-#[derive(Debug, Clone, Copy)]
-struct Outline {
-    centroid: Vector2<f64>,
-    /// It is all of the cube.
-    whole: bool,
 }
 
 /// The picture's turn against the natural line of sight, the view of the camera `reference`, rad in
@@ -209,8 +203,7 @@ fn project(point: &Vector3<f64>) -> Vector2<f64> {
     point.xy() / (point.z * TAN_HALF_VIEW)
 }
 
-/// The points where edges between corners of a cube, numbered by the bits of their indices, pass
-/// through the near plane.
+/// The points where edges of a cube with these corners pass through the near plane.
 fn cut_by_near_plane(corners: &[Vector3<f64>; 8]) -> impl Iterator<Item = Vector3<f64>> {
     let edges = (0..8).flat_map(|index: usize| (0..3).map(move |axis| (index, index ^ 1 << axis)));
     edges.filter_map(|(behind, ahead)| {
@@ -331,7 +324,7 @@ mod tests {
         let view = from_above();
         for yaw in [0.0, 0.4, 1.2] {
             let outline = view.outline(&cube([0.0, 0.0, 0.0], yaw)).unwrap();
-            assert!(outline.whole && outline.centroid.norm() < 1e-12);
+            assert!(outline.norm() < 1e-12);
         }
         // Its top is 0.95 m away, so that the picture ends 0.5485 m beside its middle.
         assert!(view.holds(&cube([0.498, 0.0, 0.0], 0.0)));
@@ -361,7 +354,7 @@ mod tests {
             match view.outline(&target) {
                 None => assert_eq!(count, 0, "{target:?}"),
                 Some(outline) if count > 100 => {
-                    let off = outline.centroid - sum / f64::from(count);
+                    let off = outline - sum / f64::from(count);
                     assert!(off.norm() < 5e-3, "{target:?}: {off}");
                 }
                 Some(_) => {}

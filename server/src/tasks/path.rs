@@ -26,7 +26,7 @@ const BLOCK_POINTS: usize = 3;
 const POINTS: usize = 4 * BLOCK_POINTS;
 
 /// Parts into which each stretch between two points is cut for measuring its length.
-const PARTS: usize = 64;
+const PARTS: usize = 32;
 
 /// How far the curve may swing out of the region, m: as far as the camera can follow.
 const MARGIN: f64 = 0.1;
