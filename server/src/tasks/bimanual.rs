@@ -223,3 +223,80 @@ pub fn carried(arm: &PsmArm, way: Vector3<f64>) -> Waypoint {
 pub fn staying(arm: &PsmArm) -> Waypoint {
     carried(arm, Vector3::zeros())
 }
+
+#[cfg(test)]
+pub(super) mod tests {
+    use super::*;
+    use crate::sim::random::Rng;
+    use crate::tasks::Task;
+    use crate::tasks::bi_peg_transfer::BiPegTransfer;
+    use crate::tasks::needle_regrasp::NeedleRegrasp;
+    use crate::tasks::psm_scene::MAX_STEPS;
+    use trocar_proto::Options;
+
+    /// How far shafts may overlap that pushed against each other, m: what they move in a substep.
+    const TOUCHING: f64 = 0.2e-3;
+
+    /// A task whose arms and object tests look at.
+    pub(in crate::tasks) trait Watched: Task {
+        fn arms(&self) -> &[PsmArm; 2];
+        fn object(&self) -> BodyId;
+    }
+
+    /// So many trials: `full` in a soak.
+    pub(in crate::tasks) fn count(reduced: u64, full: u64) -> u64 {
+        if std::env::var_os("TROCAR_SOAK").is_some() { full } else { reduced }
+    }
+
+    /// Lets a step pass, in which nothing is tied and no arm passes through the other.
+    pub(in crate::tasks) fn act<T: Watched>(task: &mut T, world: &mut World, action: &[f32]) {
+        let action: Vec<_> = action.iter().map(|number| number.clamp(-1.0, 1.0)).collect();
+        Task::apply(task, world, Some(&action));
+        let is_tied = world.joints().flatten().any(|body| body == task.object());
+        assert!(!is_tied, "friction, and nothing else");
+        let [one, two] = task.arms();
+        assert!(one.gap(two) > -TOUCHING, "{} m", one.gap(two));
+    }
+
+    /// Lets a step pass as the expert wants it.
+    pub(in crate::tasks) fn act_as_expert<T: Watched>(task: &mut T, world: &mut World) {
+        let mut action = [0.0; 10];
+        Task::expert(task, world, &mut action);
+        act(task, world, &action);
+    }
+
+    fn push_arms_together<T: Watched>(episodes: u64) {
+        let (mut task, mut world) = T::new(&Options::new()).unwrap();
+        if task.begins_prepared() {
+            Task::prepare(&mut task, &mut world, &mut Rng::start(0));
+        }
+        let (first, before) = (task, world);
+        let mut nearest = f64::INFINITY;
+        for seed in 0..episodes {
+            let mut rng = Rng::new(seed, 0);
+            let (mut task, mut world) = (first.clone(), before.clone());
+            Task::reset(&mut task, &mut world, &mut rng);
+            // At the same height first, then at random.
+            for step in 0..MAX_STEPS {
+                let mut action: Vec<_> = (0..10).map(|_| rng.uniform(-1.0, 1.0) as f32).collect();
+                let [one, two] = task.arms().each_ref().map(|arm| *arm.scene_from_wrist());
+                let off = two.translation.vector - one.translation.vector;
+                for axis in [0, 2] {
+                    let towards = (off[axis] / 0.01) as f32;
+                    action[axis] = if step % 3 > 0 { towards } else { action[axis] };
+                }
+                (action[1], action[6]) = (-1.0, 1.0);
+                act(&mut task, &mut world, &action);
+                let [one, two] = task.arms();
+                nearest = nearest.min(one.gap(two));
+            }
+        }
+        assert!(nearest < 10e-3, "they never met: {nearest} m");
+    }
+
+    #[test]
+    fn arms_that_push_against_each_other_do_not_pass() {
+        push_arms_together::<BiPegTransfer>(count(4, 100));
+        push_arms_together::<NeedleRegrasp>(count(4, 100));
+    }
+}

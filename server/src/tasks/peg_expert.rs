@@ -50,7 +50,7 @@ const OVER: f64 = 0.7e-3;
 const STILL_OVER: f64 = 2.5e-3;
 
 /// Height over the board at which a block is let go, m.
-const LET_GO: f64 = 0.6e-3;
+const LET_GO: f64 = 1.2e-3;
 
 /// A block that is to go to a target.
 #[derive(Debug, Clone, Copy)]
