@@ -34,7 +34,7 @@ use crate::tasks::start::Starts;
 
 mod rebuild;
 
-pub(crate) use rebuild::Rebuild;
+pub(crate) use rebuild::{Identity, Rebuild};
 
 /// Most numbers of actions that are kept of an episode: they fit into an exported snapshot, and are
 /// 1300 steps of ten numbers.
@@ -305,7 +305,7 @@ impl Env {
     /// anything. Rebuilding it takes as long as the episode took up to there.
     pub fn import(&self, bytes: &[u8]) -> Result<Self, Rejection> {
         let recipe = Recipe::from_bytes(bytes)?;
-        self.check_recipe(&recipe)?;
+        self.identity().check(&recipe)?;
         let mut rebuild = Rebuild::new(self, recipe);
         while !rebuild.is_done() {
             rebuild.step();

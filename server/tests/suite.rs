@@ -411,7 +411,9 @@ fn a_snapshot_goes_on_bit_by_bit_like_the_original_as_clone_and_as_bytes() {
                 assert_eq!(Seen::of(&env).bits(), Seen::of(&copies[1]).bits(), "{variant:?}");
                 if env.needs_reset() {
                     env.reset(None);
-                    copies.iter_mut().for_each(|copy| copy.reset(None));
+                    for copy in &mut copies {
+                        copy.reset(None);
+                    }
                     continue;
                 }
                 let action = towards_the_goal(&mut actions, &env);
@@ -444,6 +446,9 @@ fn a_held_object_is_held_in_its_snapshots() {
     }
 }
 
+/// Something that is done to a recipe.
+type Change = fn(&mut Recipe);
+
 #[test]
 fn bytes_that_are_not_of_this_task_and_these_options_are_refused_by_name() {
     let registry = Registry::builtin();
@@ -467,7 +472,7 @@ fn bytes_that_are_not_of_this_task_and_these_options_are_refused_by_name() {
         recipe.fingerprint ^= 1;
         assert_eq!(refuse(&env, &recipe.to_bytes().unwrap()).field, "snapshot.fingerprint");
         let good = Recipe::from_bytes(&bytes).unwrap();
-        let changes: [(&str, fn(&mut Recipe)); 4] = [
+        let changes: [(&str, Change); 4] = [
             ("snapshot.version", |recipe| recipe.version.push('0')),
             ("snapshot.actions", |recipe| recipe.actions.push(0.0)),
             ("snapshot.actions", |recipe| recipe.actions[0] = f32::NAN),
