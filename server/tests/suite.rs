@@ -93,8 +93,9 @@ fn make((id, options): &(String, Options)) -> Env {
 /// Whether the task's documentation says that an element never changes under these options.
 fn documented_as_constant((id, options): &(String, Options), element: &Element) -> bool {
     let paper = options.text("action").is_none_or(|mode| mode == "paper");
-    // Fingers pass through an object that a tie will hold, which is carried as it lay.
-    let tied = options.text("grasp") == Some("approx");
+    // Fingers pass through an object that a tie will hold, which is carried as it lay; so is a heavy one
+    // that is tied when it is lifted.
+    let tied = options.text("grasp") == Some("approx") || options.text("preset") == Some("surrol");
     let objects = ["mid arc", "crest", "wall 1", "wall 2"];
     let is_tilt = objects.iter().any(|object| {
         ["roll", "pitch"].iter().any(|angle| element.name == format!("{object} {angle}"))
