@@ -22,7 +22,7 @@ BIN := $(abspath $(VENV)/bin)
 WHEEL_VENV := .venv-wheels
 WHEEL_BIN := $(abspath $(WHEEL_VENV)/bin)
 # Python files under ruff, as seen from client-py/, whose pyproject.toml has the rules.
-PYTHON_CODE := . ../server/cli/src/demo
+PYTHON_CODE := . ../server/cli/src/demo ../server/cli/src/bench
 PIP_INSTALL := -m pip install --quiet --disable-pip-version-check
 
 .PHONY: help
@@ -69,7 +69,7 @@ test-rust: ## Rust: unit, task suite, command, multi-process (reduced counts)
 
 .PHONY: test-python
 test-python: develop ## * Python with the newest Gymnasium: types, stubs, tests
-	cd client-py && $(BIN)/mypy && $(BIN)/mypy ../server/cli/src/demo/worker.py
+	cd client-py && $(BIN)/mypy && for worker in demo bench; do $(BIN)/mypy ../server/cli/src/$$worker/worker.py; done
 	cd client-py && TROCAR_BINARY=$(TARGET)/debug/trocar $(BIN)/python -m pytest
 
 .PHONY: test-wheels
@@ -89,7 +89,10 @@ soak: develop ## * the long bars: 1,000,000 fuzzed messages, long multi-process 
 	TROCAR_SOAK=1 TROCAR_BINARY=$(TARGET)/debug/trocar $(CARGO) test $(RUST) -- --nocapture
 
 .PHONY: bench
-bench: ## benchmarks (criterion): kinematics, a step in-process, a round trip
+bench: develop ## * all steps per second (trocar bench); criterion: kinematics, steps, snapshots, a round trip
+	$(CARGO) build --release --locked -p trocar
+	cd client-py && VIRTUAL_ENV=$(abspath $(VENV)) $(BIN)/maturin develop --quiet --release --locked
+	TROCAR_PYTHON=$(BIN)/python $(TARGET)/release/trocar bench
 	$(CARGO) bench $(RUST)
 
 # ---- Keeping house ----
@@ -104,10 +107,10 @@ clean: ## removes all that the targets above made
 	$(CARGO) clean
 	rm -rf $(VENV) $(WHEEL_VENV) dist client-py/python/trocar/*.so
 
-# The program and the Python package of this tree, in the profile that tests use.
+# The program, the example of an own task and the Python package of this tree, in the profile that tests use.
 .PHONY: develop
 develop: $(VENV)/ready
-	$(CARGO) build --locked -p trocar
+	$(CARGO) build $(RUST) --bin trocar --example own_task
 	cd client-py && VIRTUAL_ENV=$(abspath $(VENV)) $(BIN)/maturin develop --quiet --locked
 
 $(VENV)/ready: client-py/requirements-dev.lock

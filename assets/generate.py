@@ -13,7 +13,7 @@ import argparse
 import sys
 from pathlib import Path
 
-from modelling import ecm, gauze, peg_transfer, psm, scene
+from modelling import cube, ecm, gauze, peg_transfer, psm, scene
 
 ASSETS = Path(__file__).resolve().parent
 
@@ -31,6 +31,8 @@ def generate() -> dict[str, str]:
     furniture = [scene.pad(), scene.tray(), scene.table(), peg_transfer.pegboard()]
     for model in objects + furniture:
         files |= model.files()
+    for urdf_name in cube.EDGES:
+        files |= cube.cube(urdf_name).files(urdf_name)
     return files
 
 

@@ -59,7 +59,7 @@ fn hostile_data_messages_harm_nobody_else() {
     let (mut refused, mut done) = (0, 0);
     for _ in 0..count() {
         let mut header = Header {
-            kind: if rng.next_u32().is_multiple_of(4) { kind::RESET } else { kind::STEP },
+            kind: [kind::STEP, kind::RESET, rng.next_u32() % 6][rng.next_u32() as usize % 3],
             flags: rng.next_u32(),
             session: session.info().session,
             epoch: session.info().epoch,

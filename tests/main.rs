@@ -9,6 +9,7 @@
 //! | `parity.rs` | same seed and actions, same bits, however it is run |
 //! | `lifecycle.rs` | whoever is killed or stopped, the others go on and nothing is left |
 //! | `refusals.rs` | bad input is refused by name, and harms nobody |
+//! | `snapshots.rs` | snapshot, restore, fork; bytes that go to another server |
 //! | `fuzz.rs` | hostile bytes sent to a running server |
 //! | `namespaces.rs` | server and client in separate process namespaces |
 //! | `dependencies.rs` | who may depend on what |
@@ -26,4 +27,5 @@ mod namespaces;
 mod parity;
 mod refusals;
 mod rows;
+mod snapshots;
 mod twin;

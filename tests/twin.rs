@@ -13,6 +13,7 @@ use crate::harness::Server;
 use crate::rows::{Digest, Row, act, bits, policies};
 
 /// N environments of one task, without a server.
+#[derive(Clone)]
 pub(crate) struct Twin {
     envs: Vec<Env>,
     autoreset: Autoreset,
@@ -49,6 +50,20 @@ impl Twin {
             show(env, None, None)
         };
         env_ids.iter().enumerate().map(reset).collect()
+    }
+
+    /// Lets `env_ids` go on from the environments `sources` of `other`.
+    pub(crate) fn go_on_from(
+        &mut self,
+        other: &Self,
+        sources: &[u32],
+        env_ids: &[u32],
+    ) -> Vec<Row> {
+        let go_on = |(id, source): (&u32, &u32)| {
+            self.envs[*id as usize] = other.envs[*source as usize].clone();
+            show(&self.envs[*id as usize], None, None)
+        };
+        env_ids.iter().zip(sources).map(go_on).collect()
     }
 
     /// Steps the environments; nothing happens where one of them is not ready.

@@ -80,6 +80,8 @@ pub(crate) fn class_of(code: Code) -> &'static str {
         Code::Unsupported => "Unsupported",
         Code::Simulation => "SimulationError",
         Code::Internal => "Internal",
+        Code::UnknownSnapshot => "UnknownSnapshot",
+        Code::InvalidSnapshot => "InvalidSnapshot",
     }
 }
 

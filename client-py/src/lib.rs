@@ -7,6 +7,7 @@ mod array;
 mod client;
 mod error;
 mod session;
+mod snapshot;
 mod spec;
 mod wait;
 
@@ -21,10 +22,12 @@ fn _trocar(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<client::Client>()?;
     module.add_class::<session::Session>()?;
     module.add_class::<session::Reply>()?;
+    module.add_class::<snapshot::Snapshot>()?;
     module.add_class::<spec::TaskSpec>()?;
     module.add_class::<spec::Element>()?;
     module.add_class::<spec::OptionSpec>()?;
     module.add_function(wrap_pyfunction!(new_identity, module)?)?;
+    module.add_function(wrap_pyfunction!(snapshot::split_snapshot, module)?)?;
     Ok(())
 }
 

@@ -4,9 +4,11 @@ use std::sync::{Mutex, MutexGuard, PoisonError, TryLockError};
 
 use numpy::{Element, PyArray1, PyArray2, PyArrayMethods};
 use pyo3::prelude::*;
+use pyo3::types::PyBytes;
 use trocar_client::Code;
 
 use crate::array::{check_shape, flags, matrix, numbers};
+use crate::snapshot::Snapshot;
 use crate::spec::TaskSpec;
 use crate::{error, wait};
 
@@ -71,11 +73,12 @@ impl Session {
                 .start_reset(env_ids.as_deref(), seeds.as_deref())
                 .map_err(|error| error::call(py, error))
         })
+        .map(Reply::new)
     }
 
     /// Steps all environments and waits; with another request in flight it is refused.
     fn step(&self, py: Python<'_>, actions: &Bound<'_, PyAny>) -> PyResult<Reply> {
-        self.exchange(py, |session| start_step(py, session, None, actions))
+        self.exchange(py, |session| start_step(py, session, None, actions)).map(Reply::new)
     }
 
     /// Starts a step of some environments.
@@ -99,6 +102,74 @@ impl Session {
             let reply = wait::reply(py, session)?;
             Ok(Reply::new(reply))
         })
+    }
+
+    /// Saves the states of environments and waits.
+    #[pyo3(signature = (env_ids=None))]
+    fn snapshot(
+        &self,
+        py: Python<'_>,
+        env_ids: Option<&Bound<'_, PyArray1<u32>>>,
+    ) -> PyResult<Snapshot> {
+        let env_ids = env_ids.map(listed).transpose()?;
+        let reply = self.exchange(py, |session| {
+            py.detach(|| session.start_snapshot(env_ids.as_deref()))
+                .map_err(|error| error::call(py, error))
+        })?;
+        let missing = || error::new(py, "Malformed", "the reply is to another request");
+        reply.into_snapshot().map(Snapshot::new).ok_or_else(missing)
+    }
+
+    /// Lets environments go on from a snapshot of this session, and waits.
+    #[pyo3(signature = (snapshot, env_ids=None))]
+    fn restore(
+        &self,
+        py: Python<'_>,
+        snapshot: &Snapshot,
+        env_ids: Option<&Bound<'_, PyArray1<u32>>>,
+    ) -> PyResult<Reply> {
+        let env_ids = env_ids.map(listed).transpose()?;
+        self.exchange(py, |session| {
+            session
+                .start_restore(env_ids.as_deref(), snapshot.inner())
+                .map_err(|error| error::call(py, error))
+        })
+        .map(Reply::new)
+    }
+
+    /// Lets environments go on from the present states of others, and waits.
+    #[pyo3(signature = (sources, env_ids=None))]
+    fn fork(
+        &self,
+        py: Python<'_>,
+        sources: &Bound<'_, PyArray1<u32>>,
+        env_ids: Option<&Bound<'_, PyArray1<u32>>>,
+    ) -> PyResult<Reply> {
+        let (sources, env_ids) = (listed(sources)?, env_ids.map(listed).transpose()?);
+        self.exchange(py, |session| {
+            session.start_fork(&sources, env_ids.as_deref()).map_err(|error| error::call(py, error))
+        })
+        .map(Reply::new)
+    }
+
+    /// A snapshot of this session as bytes.
+    fn export_snapshot<'py>(
+        &self,
+        py: Python<'py>,
+        snapshot: &Snapshot,
+    ) -> PyResult<Bound<'py, PyBytes>> {
+        let bytes = self.with(py, |session| {
+            py.detach(|| session.export(snapshot.inner())).map_err(|error| error::call(py, error))
+        })?;
+        Ok(PyBytes::new(py, &bytes))
+    }
+
+    /// Brings an exported snapshot into this session.
+    fn import_snapshot(&self, py: Python<'_>, data: Vec<u8>) -> PyResult<Snapshot> {
+        self.with(py, |session| {
+            py.detach(|| session.import(&data)).map_err(|error| error::call(py, error))
+        })
+        .map(Snapshot::new)
     }
 
     /// Gives up on the replies of all requests in flight.
@@ -163,7 +234,7 @@ impl Session {
         &self,
         py: Python<'_>,
         start: impl FnOnce(&mut trocar_client::Session) -> PyResult<()>,
-    ) -> PyResult<Reply> {
+    ) -> PyResult<trocar_client::Reply> {
         self.with(py, |session| {
             wait::settled(py, session)?;
             if session.in_flight() > 0 {
@@ -171,13 +242,7 @@ impl Session {
                 return Err(error::new(py, "TooManyInFlight", message));
             }
             start(session)?;
-            match wait::reply(py, session) {
-                Ok(reply) => Ok(Reply::new(reply)),
-                Err(error) => {
-                    session.abandon();
-                    Err(error)
-                }
-            }
+            wait::reply(py, session).inspect_err(|_| session.abandon())
         })
     }
 }

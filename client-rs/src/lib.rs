@@ -21,11 +21,13 @@ mod client;
 mod error;
 pub mod private;
 mod session;
+mod snapshot;
 mod transport;
 
 pub use client::Client;
 pub use error::{CallError, ConnectError};
 pub use session::{Reply, Session};
+pub use snapshot::Snapshot;
 pub use trocar_proto as proto;
 pub use trocar_proto::control::{Autoreset, ServerStatus, SessionRequest};
 pub use trocar_proto::{Code, OptionValue, Options, Rejection, TaskSpec};

@@ -4,11 +4,13 @@ use std::collections::VecDeque;
 use std::sync::Arc;
 use std::time::Duration;
 
-use trocar_proto::control::{ControlRequest, SessionInfo};
+use trocar_proto::control::{ControlReply, ControlRequest, SessionInfo};
 use trocar_proto::wire::{Header, MAX_IN_FLIGHT, ReplyLayout, RequestLayout, flag, kind};
-use trocar_proto::{Code, Rejection, TaskSpec};
+use trocar_proto::{Code, Rejection, TaskSpec, snapshot};
 
+use crate::client::unexpected;
 use crate::error::CallError;
+use crate::snapshot::{Dropped, Snapshot};
 use crate::transport::{DataPort, Link, Owned, RawPending, RawReply, SLICE, refusal};
 
 /// N environments of one task, which live in the server until this is dropped.
@@ -20,6 +22,8 @@ pub struct Session {
     request_layout: RequestLayout,
     reply_layout: Arc<ReplyLayout>,
     want_expert: bool,
+    /// Numbers of snapshots that nobody has any more and that the server still keeps.
+    dropped: Dropped,
     requests: u64,
     /// A request was not answered, and none will be.
     ended: bool,
@@ -29,7 +33,10 @@ pub struct Session {
 #[derive(Debug)]
 struct InFlight {
     pending: Owned<RawPending>,
+    kind: u32,
     env_ids: EnvIds,
+    /// Environments that it reads, besides those that it changes.
+    sources: Option<EnvIds>,
     /// Nobody waits for the reply any more; it is received and dropped.
     abandoned: bool,
 }
@@ -79,6 +86,7 @@ impl Session {
             request_layout,
             reply_layout,
             want_expert: false,
+            dropped: Dropped::default(),
             requests: 0,
             ended: false,
         })
@@ -155,8 +163,8 @@ impl Session {
             check_length("seeds", seeds.len(), env_ids.len(), Code::InvalidEnvIds)?;
         }
         let flags = if seeds.is_some() { flag::HAS_SEEDS } else { 0 };
-        let region = self.request_layout.seeds;
-        self.start(kind::RESET, flags, env_ids, |payload, rows| {
+        let region = self.request_layout.numbers;
+        self.start(kind::RESET, flags, env_ids, None, |payload, rows| {
             if let Some(seeds) = seeds {
                 region.view_mut::<u64>(payload, rows).copy_from_slice(seeds);
             }
@@ -173,9 +181,154 @@ impl Session {
         let expected = env_ids.len() * self.spec().action_dim();
         check_length("actions", actions.len(), expected, Code::InvalidAction)?;
         let region = self.request_layout.actions;
-        self.start(kind::STEP, 0, env_ids, |payload, rows| {
+        self.start(kind::STEP, 0, env_ids, None, |payload, rows| {
             region.view_mut::<f32>(payload, rows).copy_from_slice(actions);
         })
+    }
+
+    /// Saves the state of every environment. It stays in the server, counted against its memory
+    /// budget, until the snapshot is dropped or the session ends.
+    pub fn snapshot(&mut self) -> Result<Snapshot, CallError> {
+        self.start_snapshot(None)?;
+        self.recv_snapshot()
+    }
+
+    /// Saves the state of the environments `env_ids` (strictly increasing).
+    pub fn snapshot_envs(&mut self, env_ids: &[u32]) -> Result<Snapshot, CallError> {
+        self.start_snapshot(Some(env_ids))?;
+        self.recv_snapshot()
+    }
+
+    /// Lets every environment go on from a snapshot of as many, or of one. The reply shows where
+    /// they are.
+    pub fn restore(&mut self, snapshot: &Snapshot) -> Result<Reply, CallError> {
+        self.start_restore(None, snapshot)?;
+        self.recv()
+    }
+
+    /// Lets the environments `env_ids` (strictly increasing) go on from a snapshot: the i-th from
+    /// the i-th of its states, or all from its only one.
+    pub fn restore_envs(
+        &mut self,
+        env_ids: &[u32],
+        snapshot: &Snapshot,
+    ) -> Result<Reply, CallError> {
+        self.start_restore(Some(env_ids), snapshot)?;
+        self.recv()
+    }
+
+    /// Lets the environments `env_ids` (strictly increasing) go on from the present states of
+    /// others: the i-th from environment `sources[i]`, or all from the only source. Sources may
+    /// repeat, and be among `env_ids`: what counts is their state before.
+    pub fn fork(&mut self, sources: &[u32], env_ids: &[u32]) -> Result<Reply, CallError> {
+        self.start_fork(sources, Some(env_ids))?;
+        self.recv()
+    }
+
+    /// A snapshot as bytes: a few hundred for each environment, good for [`Self::import`] anywhere.
+    pub fn export(&mut self, snapshot: &Snapshot) -> Result<Vec<u8>, CallError> {
+        let (session, link) = (self.info.session, self.port.get()?.link());
+        let (numbers, node) = (snapshot.numbers_for(&self.info, snapshot.len())?, link.node_id());
+        let mut bytes = vec![];
+        for snapshot in numbers {
+            match link.call(&ControlRequest::ExportSnapshot { session, node, snapshot })? {
+                ControlReply::Exported(part) => bytes.extend(part),
+                other => return Err(unexpected(&other)),
+            }
+        }
+        Ok(bytes)
+    }
+
+    /// Brings a snapshot that was exported by a session of the same task and options, by the same
+    /// release, into this one. Its states are rebuilt when they are first restored, which takes as
+    /// long as their episodes took up to there.
+    pub fn import(&mut self, bytes: &[u8]) -> Result<Snapshot, CallError> {
+        let (session, link) = (self.info.session, self.port.get()?.link());
+        let (parts, node) = (snapshot::split(bytes)?, link.node_id());
+        let mut imported = Snapshot::new(&self.info, &[], &self.dropped);
+        for part in parts {
+            let bytes = part.to_vec();
+            match link.call(&ControlRequest::ImportSnapshot { session, node, bytes })? {
+                ControlReply::Imported(number) => {
+                    imported.push(&Snapshot::new(&self.info, &[number], &self.dropped));
+                }
+                other => return Err(unexpected(&other)),
+            }
+        }
+        Ok(imported)
+    }
+
+    /// Starts a snapshot of the environments `env_ids` (all if `None`); the reply has it.
+    pub fn start_snapshot(&mut self, env_ids: Option<&[u32]>) -> Result<(), CallError> {
+        let env_ids = self.check_env_ids(env_ids)?;
+        self.forget_dropped()?;
+        self.start(kind::SNAPSHOT, 0, env_ids, None, |_, _| {})
+    }
+
+    /// Starts a restore of the environments `env_ids` (all if `None`).
+    pub fn start_restore(
+        &mut self,
+        env_ids: Option<&[u32]>,
+        snapshot: &Snapshot,
+    ) -> Result<(), CallError> {
+        let env_ids = self.check_env_ids(env_ids)?;
+        let numbers = snapshot.numbers_for(&self.info, env_ids.len())?;
+        let region = self.request_layout.numbers;
+        self.start(kind::RESTORE, 0, env_ids, None, |payload, rows| {
+            region.view_mut::<u64>(payload, rows).copy_from_slice(&numbers);
+        })
+    }
+
+    /// Starts a fork into the environments `env_ids` (all if `None`).
+    pub fn start_fork(
+        &mut self,
+        sources: &[u32],
+        env_ids: Option<&[u32]>,
+    ) -> Result<(), CallError> {
+        let env_ids = self.check_env_ids(env_ids)?;
+        let (rows, envs) = (env_ids.len(), self.info.envs);
+        let refuse = |value: String, allowed: String| {
+            CallError::from(Rejection::new(Code::InvalidEnvIds, "source", value, allowed))
+        };
+        if sources.len() != rows && sources.len() != 1 {
+            let found = format!("{} numbers", sources.len());
+            return Err(refuse(found, format!("expected 1, or {rows} as there are env_ids")));
+        }
+        if let Some(number) = sources.iter().find(|number| **number >= envs) {
+            return Err(refuse(number.to_string(), format!("allowed are numbers below {envs}")));
+        }
+        let mut read = sources.to_vec();
+        read.sort_unstable();
+        read.dedup();
+        let region = self.request_layout.numbers;
+        self.start(kind::FORK, 0, env_ids, Some(EnvIds::Some(read.into())), |payload, rows| {
+            let numbers = region.view_mut::<u64>(payload, rows);
+            for (number, source) in numbers.iter_mut().zip(sources.iter().cycle()) {
+                *number = u64::from(*source);
+            }
+        })
+    }
+
+    fn recv_snapshot(&mut self) -> Result<Snapshot, CallError> {
+        let missing = || CallError::Malformed("the reply is to another request".into());
+        self.recv()?.into_snapshot().ok_or_else(missing)
+    }
+
+    /// Tells the server which snapshots nobody has any more. Where requests are in flight, some of
+    /// these may be about them: then later.
+    fn forget_dropped(&mut self) -> Result<(), CallError> {
+        /// As many numbers as surely fit into a message.
+        const AT_A_TIME: usize = 4096;
+        if !self.in_flight.is_empty() {
+            return Ok(());
+        }
+        let link = self.port.get()?.link();
+        let (session, node) = (self.info.session, link.node_id());
+        for numbers in self.dropped.take().chunks(AT_A_TIME) {
+            let snapshots = numbers.to_vec();
+            link.call(&ControlRequest::DropSnapshots { session, node, snapshots })?;
+        }
+        Ok(())
     }
 
     /// Waits at most `patience` for the reply to the oldest request in flight.
@@ -193,7 +346,7 @@ impl Session {
                 return Err(error);
             }
         };
-        let InFlight { pending, env_ids, .. } =
+        let InFlight { pending, kind, env_ids, .. } =
             self.in_flight.pop_front().expect("the oldest is there");
         drop(pending);
         if raw.user_header().status != 0 {
@@ -202,8 +355,13 @@ impl Session {
         if raw.payload().len() < self.reply_layout.bytes {
             return Err(CallError::Malformed("the payload is too short".into()));
         }
+        let taken = (kind == kind::SNAPSHOT).then(|| {
+            let numbers = self.reply_layout.snapshot.view(raw.payload(), env_ids.len());
+            Snapshot::new(&self.info, numbers, &self.dropped)
+        });
         Ok(Some(Reply {
             raw: Owned::new(raw),
+            taken,
             env_ids,
             info: Arc::clone(&self.info),
             layout: Arc::clone(&self.reply_layout),
@@ -221,7 +379,9 @@ impl Session {
     ) -> Result<Reply, CallError> {
         let pending = Owned::new(self.port.get()?.send(header, fill)?);
         let env_ids = EnvIds::All(header.rows.min(self.info.envs));
-        self.in_flight.push_back(InFlight { pending, env_ids, abandoned: false });
+        let kind = header.kind;
+        let request = InFlight { pending, kind, env_ids, sources: None, abandoned: false };
+        self.in_flight.push_back(request);
         self.recv()
     }
 
@@ -255,6 +415,7 @@ impl Session {
         kind: u32,
         flags: u32,
         env_ids: EnvIds,
+        sources: Option<EnvIds>,
         fill: impl FnOnce(&mut [u8], usize),
     ) -> Result<(), CallError> {
         while !self.settle(SLICE)? {}
@@ -266,7 +427,18 @@ impl Session {
         if self.in_flight.len() == MAX_IN_FLIGHT {
             return Err(CallError::TooManyInFlight);
         }
-        if let Some(busy) = self.in_flight.iter().find_map(|other| other.env_ids.common(&env_ids)) {
+        let all = |request: &InFlight| [Some(request.env_ids.clone()), request.sources.clone()];
+        let mine = [Some(&env_ids), sources.as_ref()];
+        let busy = self.in_flight.iter().find_map(|other| {
+            let theirs = all(other);
+            let theirs = theirs.iter().flatten();
+            theirs
+                .flat_map(|theirs| {
+                    mine.into_iter().flatten().filter_map(|mine| theirs.common(mine))
+                })
+                .next()
+        });
+        if let Some(busy) = busy {
             return Err(Rejection::new(
                 Code::InvalidEnvIds,
                 "env_ids",
@@ -295,7 +467,8 @@ impl Session {
             fill(payload, rows);
         })?;
         let pending = Owned::new(pending);
-        self.in_flight.push_back(InFlight { pending, env_ids, abandoned: false });
+        let request = InFlight { pending, kind, env_ids, sources, abandoned: false };
+        self.in_flight.push_back(request);
         Ok(())
     }
 
@@ -335,11 +508,12 @@ fn check_length(field: &str, found: usize, expected: usize, code: Code) -> Resul
     Err(Rejection::new(code, field, found, format!("expected {expected}")).into())
 }
 
-/// The reply to a reset or a step: arrays in shared memory, valid until this is dropped.
+/// The reply to a reset, step, restore or fork: arrays in shared memory, valid until this is dropped.
 /// Row r belongs to environment `env_id(r)`.
 #[derive(Debug)]
 pub struct Reply {
     raw: Owned<RawReply>,
+    taken: Option<Snapshot>,
     env_ids: EnvIds,
     info: Arc<SessionInfo>,
     layout: Arc<ReplyLayout>,
@@ -348,6 +522,11 @@ pub struct Reply {
 }
 
 impl Reply {
+    /// The snapshot that was taken, where one was asked for.
+    pub fn into_snapshot(self) -> Option<Snapshot> {
+        self.taken
+    }
+
     /// Number of rows.
     pub fn rows(&self) -> usize {
         self.env_ids.len()

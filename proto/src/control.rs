@@ -41,11 +41,37 @@ pub enum ControlRequest {
     Status,
     /// Ends the server.
     Shutdown,
+    /// Drops snapshots; those that are not there are no error.
+    DropSnapshots {
+        /// The session that took them.
+        session: u64,
+        /// The client's transport node, as it introduced itself.
+        node: u128,
+        /// Their numbers.
+        snapshots: Vec<u64>,
+    },
+    /// Asks for a snapshot as bytes.
+    ExportSnapshot {
+        /// The session that took it.
+        session: u64,
+        /// The client's transport node, as it introduced itself.
+        node: u128,
+        /// Its number.
+        snapshot: u64,
+    },
+    /// Brings the bytes of a snapshot into a session.
+    ImportSnapshot {
+        /// The session that shall have it.
+        session: u64,
+        /// The client's transport node, as it introduced itself.
+        node: u128,
+        /// One part, as [`crate::snapshot::split`] gives it.
+        bytes: Vec<u8>,
+    },
 }
 
 impl ControlRequest {
-    /// The number in [`crate::wire::Header::kind`]. Reserved for later: 16 snapshot, 17 restore,
-    /// 18 fork, 19 export snapshot, 20 import snapshot, 32 to 47 dVRK arm sessions.
+    /// The number in [`crate::wire::Header::kind`]. Reserved for later: 32 to 47 dVRK arm sessions.
     pub fn kind(&self) -> u32 {
         match self {
             Self::Hello(_) => 1,
@@ -55,6 +81,9 @@ impl ControlRequest {
             Self::CloseSession { .. } => 5,
             Self::Status => 6,
             Self::Shutdown => 7,
+            Self::DropSnapshots { .. } => 18,
+            Self::ExportSnapshot { .. } => 19,
+            Self::ImportSnapshot { .. } => 20,
         }
     }
 }
@@ -70,12 +99,17 @@ pub enum ControlReply {
     Task(TaskSpec),
     /// To [`ControlRequest::OpenSession`].
     Opened(SessionInfo),
-    /// To [`ControlRequest::CloseSession`] and [`ControlRequest::Shutdown`].
+    /// To [`ControlRequest::CloseSession`], [`ControlRequest::DropSnapshots`] and
+    /// [`ControlRequest::Shutdown`].
     Done,
     /// To [`ControlRequest::Status`].
     Status(ServerStatus),
     /// To anything that was refused.
     Refused(Rejection),
+    /// To [`ControlRequest::ExportSnapshot`]: one part.
+    Exported(Vec<u8>),
+    /// To [`ControlRequest::ImportSnapshot`]: the snapshot's number.
+    Imported(u64),
 }
 
 /// Who a client is.

@@ -40,15 +40,20 @@ pub enum Code {
     Simulation = 16,
     /// A fault of the server's own.
     Internal = 17,
+    /// The session has no such snapshot.
+    UnknownSnapshot = 18,
+    /// The bytes are no snapshot, or none of this task and these options.
+    InvalidSnapshot = 19,
 }
 
 impl Code {
     /// The code of a number on the wire.
     pub fn from_u32(number: u32) -> Option<Self> {
         use Code::{
-            Internal, InvalidAction, InvalidEnvCount, InvalidEnvIds, InvalidOption, Malformed,
-            MemoryBudget, ResetNeeded, ShuttingDown, Simulation, StaleSession, TooManySessions,
-            UnknownOption, UnknownSession, UnknownTask, Unsupported, VersionMismatch,
+            Internal, InvalidAction, InvalidEnvCount, InvalidEnvIds, InvalidOption,
+            InvalidSnapshot, Malformed, MemoryBudget, ResetNeeded, ShuttingDown, Simulation,
+            StaleSession, TooManySessions, UnknownOption, UnknownSession, UnknownSnapshot,
+            UnknownTask, Unsupported, VersionMismatch,
         };
         [
             UnknownTask,
@@ -68,6 +73,8 @@ impl Code {
             Unsupported,
             Simulation,
             Internal,
+            UnknownSnapshot,
+            InvalidSnapshot,
         ]
         .into_iter()
         .find(|code| *code as u32 == number)
@@ -119,11 +126,11 @@ mod tests {
 
     #[test]
     fn every_code_survives_the_wire() {
-        for number in 1..=17 {
+        for number in 1..=19 {
             assert_eq!(Code::from_u32(number).map(|code| code as u32), Some(number));
         }
         assert_eq!(Code::from_u32(0), None);
-        assert_eq!(Code::from_u32(18), None);
+        assert_eq!(Code::from_u32(20), None);
     }
 
     #[test]

@@ -7,13 +7,15 @@
 //! | [`wire`] | frequent messages: step and reset as plain arrays in shared memory |
 //! | [`spec`] | what a task looks like: actions, observations, goals, options |
 //! | [`goal`] | distance, success and reward as pure functions of goals |
+//! | [`snapshot`] | the state of an environment as bytes |
 //! | [`error`] | refusals: the field, its value and what is allowed |
 //!
 //! A client opens the control service, says hello, and opens a *session*: one task, N
 //! environments, one seed, its options. The server answers with the session's [`spec::TaskSpec`]
 //! and the name of a data service of its own, over which every reset and step goes. The arrays of
 //! both directions lie at the offsets of [`wire::RequestLayout`] and [`wire::ReplyLayout`], which
-//! both sides compute from the same specification.
+//! both sides compute from the same specification. Snapshots are taken and restored there too, so
+//! their order among resets and steps is plain; only their bytes travel by control messages.
 //!
 //! ```
 //! use trocar_proto::goal::{Reward, SuccessRule};
@@ -27,6 +29,7 @@ pub mod control;
 pub mod endpoint;
 pub mod error;
 pub mod goal;
+pub mod snapshot;
 pub mod spec;
 pub mod wire;
 
@@ -34,4 +37,4 @@ pub use error::{Code, Rejection};
 pub use spec::{OptionValue, Options, TaskSpec};
 
 /// Version of everything in this crate; both sides must have the same.
-pub const PROTOCOL_VERSION: u32 = 1;
+pub const PROTOCOL_VERSION: u32 = 2;

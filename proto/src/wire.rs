@@ -27,13 +27,21 @@ pub mod kind {
     pub const RESET: u32 = 1;
     /// Step the listed environments.
     pub const STEP: u32 = 2;
+    /// Save the state of each of the listed environments under a number that the reply tells.
+    pub const SNAPSHOT: u32 = 3;
+    /// Let each of the listed environments go on from the snapshot of that row. The reply shows
+    /// where they are; it reports no transition.
+    pub const RESTORE: u32 = 4;
+    /// Let each of the listed environments go on from the state that the environment of that row's
+    /// number has before the request. The reply is as for [`RESTORE`].
+    pub const FORK: u32 = 5;
 }
 
 /// Bits of [`Header::flags`].
 pub mod flag {
     /// Request: the reply shall carry the scripted expert's action for the state it returns.
     pub const WANT_EXPERT: u32 = 1;
-    /// Reset request: the seeds region is filled; otherwise each environment goes on to the next
+    /// Reset request: the numbers are seeds; otherwise each environment goes on to the next
     /// episode of its seed.
     pub const HAS_SEEDS: u32 = 2;
 }
@@ -148,8 +156,9 @@ pub struct RequestLayout {
     pub env_ids: Region,
     /// Actions: f32 (rows, action dim).
     pub actions: Region,
-    /// Seeds for a reset: u64 (rows).
-    pub seeds: Region,
+    /// u64 (rows): seeds for a reset; snapshots for a restore; for a fork, the environments to go on
+    /// from.
+    pub numbers: Region,
     /// Size of the payload.
     pub bytes: usize,
 }
@@ -160,8 +169,8 @@ impl RequestLayout {
         let mut plan = Planner { rows: envs, end: 0 };
         let env_ids = plan.region::<u32>(1);
         let actions = plan.region::<f32>(spec.action_dim());
-        let seeds = plan.region::<u64>(1);
-        Self { env_ids, actions, seeds, bytes: plan.bytes() }
+        let numbers = plan.region::<u64>(1);
+        Self { env_ids, actions, numbers, bytes: plan.bytes() }
     }
 }
 
@@ -199,6 +208,8 @@ pub struct ReplyLayout {
     pub final_desired_goal: Region,
     /// f32 (rows, action dim): the scripted expert's action for the returned state, if wanted.
     pub expert_action: Region,
+    /// u64 (rows): the numbers of snapshots that were taken.
+    pub snapshot: Region,
     /// Size of the payload.
     pub bytes: usize,
 }
@@ -224,6 +235,7 @@ impl ReplyLayout {
             final_achieved_goal: plan.region::<f32>(goal),
             final_desired_goal: plan.region::<f32>(goal),
             expert_action: plan.region::<f32>(spec.action_dim()),
+            snapshot: plan.region::<u64>(1),
             bytes: plan.bytes().max(MIN_REPLY),
         }
     }
@@ -273,6 +285,7 @@ mod tests {
                 layout.final_achieved_goal,
                 layout.final_desired_goal,
                 layout.expert_action,
+                layout.snapshot,
             ];
             for pair in regions.windows(2) {
                 assert!(pair[0].range(envs).end <= pair[1].offset);
@@ -290,9 +303,9 @@ mod tests {
         let mut words = vec![0u64; layout.bytes / 8];
         let payload: &mut [u8] = bytemuck::cast_slice_mut(&mut words);
         layout.actions.view_mut::<f32>(payload, 4).fill(0.5);
-        layout.seeds.view_mut::<u64>(payload, 4).copy_from_slice(&[1, 2, 3, u64::MAX]);
+        layout.numbers.view_mut::<u64>(payload, 4).copy_from_slice(&[1, 2, 3, u64::MAX]);
         assert!(layout.actions.view::<f32>(payload, 4).iter().all(|value| *value == 0.5));
-        assert_eq!(layout.seeds.view::<u64>(payload, 2), [1, 2]);
+        assert_eq!(layout.numbers.view::<u64>(payload, 2), [1, 2]);
         assert_eq!(layout.env_ids.view::<u32>(payload, 4), [0; 4]);
     }
 }

@@ -1,7 +1,8 @@
 //! Environment steps per second of every registered task on one core, in-process, without IPC.
 //!
 //! `cargo bench -p trocar-server --bench step` reports each task under random actions and under
-//! its expert, resets included, and prints the ratio of both.
+//! its expert, resets included, and prints the ratio of both; then what it takes to begin an episode,
+//! to take a snapshot amid one, and to go on from it.
 
 use std::time::{Duration, Instant};
 
@@ -72,5 +73,41 @@ fn steps(criterion: &mut Criterion) {
     }
 }
 
-criterion_group!(benches, steps);
+/// Steps of the expert before a snapshot: an object is in the jaws, where there is one.
+const AMID: u32 = 25;
+
+fn copies(criterion: &mut Criterion) {
+    let registry = Registry::builtin();
+    let mut group = criterion.benchmark_group("copy");
+    for id in registry.ids() {
+        let mut env = registry.make(id, &Options::new()).expect("a registered task");
+        group.bench_function(BenchmarkId::new(id, "reset"), |bencher| {
+            bencher.iter(|| env.reset(None));
+        });
+        env.reset(Some(0));
+        let mut action = vec![0.0; env.spec().action_dim()];
+        while env.steps() < AMID {
+            env.expert(&mut action);
+            env.step(&action).expect("a checked action");
+        }
+        group.bench_function(BenchmarkId::new(id, "snapshot"), |bencher| {
+            bencher.iter(|| env.clone());
+        });
+        let mut other = env.clone();
+        group.bench_function(BenchmarkId::new(id, "restore"), |bencher| {
+            bencher.iter(|| other.clone_from(&env));
+        });
+        let bytes = env.export().expect("it was reset");
+        group.bench_function(BenchmarkId::new(id, "export"), |bencher| {
+            bencher.iter(|| env.export());
+        });
+        group.sample_size(10).bench_function(BenchmarkId::new(id, "import"), |bencher| {
+            bencher.iter(|| other.import(&bytes));
+        });
+        eprintln!("{id}: {} bytes exported", bytes.len());
+    }
+    group.finish();
+}
+
+criterion_group!(benches, steps, copies);
 criterion_main!(benches);

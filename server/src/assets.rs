@@ -1,14 +1,16 @@
-//! Models of `assets/`, embedded in the binary: collision shapes, mass, friction and named frames.
-//!
-//! Each is read once in the life of the process and shared.
+//! Models of objects: collision shapes, mass, friction and named frames, read from URDFs. Those of
+//! `assets/` are embedded in the program, read once in its life and shared; own tasks bring theirs as
+//! [`Scene`].
 
+use std::collections::BTreeMap;
 use std::sync::LazyLock;
 
-use urdf_rs::{Geometry, Robot};
+use nalgebra::{Point3, Vector3};
+use trocar_proto::{Code, Rejection};
+use urdf_rs::{Geometry, JointType, Robot};
 
 use crate::sim::frames::{self, Aabb, Pose};
-use crate::sim::world::{Part, Shape};
-use nalgebra::{Point3, Vector3};
+use crate::sim::world::{BodyId, Motion, Part, Shape, World};
 
 /// One rigid object; lengths in m.
 #[derive(Debug, Clone)]
@@ -88,59 +90,175 @@ impl Model {
     }
 
     /// Reads a model of one body; its other links are frames fixed to it.
+    pub fn from_urdf(urdf: &str) -> Result<Self, ModelError> {
+        let robot = parse(urdf)?;
+        let mut placed = placed(&robot)?;
+        match placed.pop() {
+            Some(only) if placed.is_empty() => Ok(only.model),
+            _ => Err(ModelError::NotAModel(format!(
+                "{} has several bodies; read it as a scene",
+                robot.name
+            ))),
+        }
+    }
+
+    /// A model that is part of the program.
     ///
     /// # Panics
-    /// Where `urdf` is not such a model: the models are part of the program, and tests read them.
+    /// Where `urdf` is no model: tests read them all.
     fn read(urdf: &str) -> Self {
-        let robot: Robot = urdf_rs::read_from_string(urdf).expect("an embedded model is a URDF");
-        let [body, frames @ ..] = robot.links.as_slice() else {
-            panic!("a model has a body");
-        };
-        let material = body.visual.first().and_then(|visual| visual.material.as_ref());
-        let material = &material.expect("a body shows what it is made of").name;
-        let parts = body.collision.iter().map(|collision| Part {
-            body_from_part: pose(&collision.origin),
-            shape: shape(&collision.geometry),
-        });
-        let frame = |name: &str| {
-            let joint = robot.joints.iter().find(|joint| joint.child.link == name);
-            let joint = joint.expect("a frame hangs on the body");
-            assert_eq!(joint.parent.link, body.name, "a frame hangs on the body");
-            (name.to_string(), pose(&joint.origin))
-        };
-        Self {
-            parts: parts.collect(),
-            mass: body.inertial.mass.value,
-            friction: friction_of(material),
-            frames: frames.iter().map(|link| frame(&link.name)).collect(),
-        }
+        Self::from_urdf(urdf).unwrap_or_else(|error| panic!("{error}"))
     }
 }
 
+/// Why a URDF was not read.
+#[derive(Debug, thiserror::Error)]
+pub enum ModelError {
+    /// It is no URDF.
+    #[error("no URDF: {0}")]
+    Urdf(#[from] urdf_rs::UrdfError),
+    /// It holds what no model or scene has.
+    #[error("URDF: {0}")]
+    NotAModel(String),
+}
+
+impl From<ModelError> for Rejection {
+    fn from(error: ModelError) -> Self {
+        Self::new(Code::Internal, "scene", "a URDF of the task", error.to_string())
+    }
+}
+
+/// Several bodies and where they are at first; lengths in m.
+///
+/// A link with collision shapes is a body. The first link and those on `fixed` joints never move;
+/// those on `floating` joints are free objects of the mass that they state. Other links are frames.
+#[derive(Debug, Clone)]
+pub struct Scene {
+    placed: Vec<Placed>,
+}
+
+/// A body of a scene.
+#[derive(Debug, Clone)]
+struct Placed {
+    name: String,
+    model: Model,
+    is_free: bool,
+    scene_from_body: Pose,
+}
+
+impl Scene {
+    /// Reads a scene.
+    pub fn from_urdf(urdf: &str) -> Result<Self, ModelError> {
+        Ok(Self { placed: placed(&parse(urdf)?)? })
+    }
+
+    /// Puts every body into the world, with the same coefficient of friction; gives them by name.
+    pub fn insert(&self, world: &mut World, friction: f64) -> BTreeMap<&str, BodyId> {
+        let insert = |placed: &'_ Placed| {
+            let motion = if placed.is_free {
+                Motion::Free { mass: placed.model.mass }
+            } else {
+                Motion::Fixed
+            };
+            world.insert(motion, &placed.scene_from_body, friction, &placed.model.parts)
+        };
+        let ids: Vec<_> = self.placed.iter().map(insert).collect();
+        self.placed.iter().map(|placed| placed.name.as_str()).zip(ids).collect()
+    }
+
+    /// The model of the body `name`, and where it is at first.
+    ///
+    /// # Panics
+    /// Where the scene has no such body.
+    pub fn body(&self, name: &str) -> (&Model, Pose) {
+        let found = self.placed.iter().find(|placed| placed.name == name);
+        let found = found.unwrap_or_else(|| panic!("the scene has no body {name:?}"));
+        (&found.model, found.scene_from_body)
+    }
+}
+
+fn parse(urdf: &str) -> Result<Robot, ModelError> {
+    Ok(urdf_rs::read_from_string(urdf)?)
+}
+
+/// The bodies of a URDF, each with the frames that are fixed to it.
+fn placed(robot: &Robot) -> Result<Vec<Placed>, ModelError> {
+    let wrong = |what: &str, why: &str| Err(ModelError::NotAModel(format!("{what} {why}")));
+    let mut bodies: Vec<Placed> = vec![];
+    let mut frames = vec![];
+    for link in &robot.links {
+        let joint = robot.joints.iter().find(|joint| joint.child.link == link.name);
+        let is_free = joint.is_some_and(|joint| joint.joint_type == JointType::Floating);
+        if let Some(joint) = joint
+            && !matches!(joint.joint_type, JointType::Floating | JointType::Fixed)
+        {
+            return wrong(&joint.name, "is no joint of a scene: allowed are fixed and floating");
+        }
+        if link.collision.is_empty() {
+            let Some(joint) = joint else { return wrong(&link.name, "has no collision shapes") };
+            frames.push((joint.parent.link.clone(), link.name.clone(), pose(&joint.origin)));
+            continue;
+        }
+        let scene_from_body = match joint {
+            None => Pose::identity(),
+            Some(joint) => {
+                let parent = bodies.iter().find(|body| body.name == joint.parent.link);
+                let Some(parent) = parent else { return wrong(&joint.name, "hangs on no body") };
+                parent.scene_from_body * pose(&joint.origin)
+            }
+        };
+        let mass = link.inertial.mass.value;
+        if is_free && !(mass > 0.0 && mass.is_finite()) {
+            return wrong(&link.name, "is free and needs a mass");
+        }
+        let part = |collision: &urdf_rs::Collision| -> Result<Part, ModelError> {
+            let shape = shape(&collision.geometry)?;
+            Ok(Part { body_from_part: pose(&collision.origin), shape })
+        };
+        let parts = link.collision.iter().map(part).collect::<Result<_, _>>()?;
+        let material = link.visual.first().and_then(|visual| visual.material.as_ref());
+        let friction = material.and_then(|material| friction_of(&material.name));
+        let friction = friction.unwrap_or(UNKNOWN_FRICTION);
+        let model = Model { parts, mass, friction, frames: vec![] };
+        bodies.push(Placed { name: link.name.clone(), model, is_free, scene_from_body });
+    }
+    for (body, name, pose) in frames {
+        match bodies.iter_mut().find(|placed| placed.name == body) {
+            Some(placed) => placed.model.frames.push((name, pose)),
+            None => return wrong(&name, "hangs on no body"),
+        }
+    }
+    if bodies.is_empty() { wrong(&robot.name, "has no body") } else { Ok(bodies) }
+}
+
+/// Friction coefficient of a material that the table does not have.
+const UNKNOWN_FRICTION: f64 = 0.5;
+
 /// The friction coefficient that the table of materials gives, with its source.
-fn friction_of(material: &str) -> f64 {
+fn friction_of(material: &str) -> Option<f64> {
     /// Column of the table.
     const FRICTION: usize = 5;
     let table = include_str!("../../assets/materials.csv");
-    let rows = table.lines().map(|line| line.split(',').collect::<Vec<_>>());
-    let row = rows.skip(1).find(|row| row[0] == material);
-    let row = row.unwrap_or_else(|| panic!("no material {material:?}"));
-    row[FRICTION].parse().expect("friction is a number")
+    let mut rows = table.lines().skip(1).map(|line| line.split(',').collect::<Vec<_>>());
+    let row = rows.find(|row| row[0] == material)?;
+    Some(row[FRICTION].parse().expect("friction is a number"))
 }
 
 fn pose(origin: &urdf_rs::Pose) -> Pose {
     frames::pose(*origin.xyz, *origin.rpy)
 }
 
-fn shape(geometry: &Geometry) -> Shape {
+fn shape(geometry: &Geometry) -> Result<Shape, ModelError> {
     match geometry {
-        Geometry::Box { size } => Shape::Cuboid(Vector3::from(**size) * 0.5),
-        Geometry::Capsule { radius, length } => Shape::Capsule {
+        Geometry::Box { size } => Ok(Shape::Cuboid(Vector3::from(**size) * 0.5)),
+        Geometry::Capsule { radius, length } => Ok(Shape::Capsule {
             a: Point3::new(0.0, 0.0, -0.5 * length),
             b: Point3::new(0.0, 0.0, 0.5 * length),
             radius: *radius,
-        },
-        other => panic!("collision shapes are boxes and capsules, not {other:?}"),
+        }),
+        other => Err(ModelError::NotAModel(format!(
+            "collision shapes are boxes and capsules, not {other:?}"
+        ))),
     }
 }
 
@@ -161,7 +279,8 @@ mod tests {
     #[test]
     fn friction_is_that_of_the_table_of_materials() {
         assert!((Model::needle().friction - 1.0).abs() < 1e-12);
-        assert!((friction_of("block") - Model::block().friction).abs() < 1e-12);
+        let block = friction_of("block").unwrap();
+        assert!((block - Model::block().friction).abs() < 1e-12);
     }
 
     #[test]
@@ -171,4 +290,60 @@ mod tests {
         assert_eq!(pad.merged(&tray), tray);
         assert!((pad.max.z - 0.0062).abs() < 1e-9);
     }
+
+    #[test]
+    fn a_scene_has_fixed_and_free_bodies_and_frames() {
+        let scene = Scene::from_urdf(SCENE).unwrap();
+        let mut world = World::new(crate::sim::world::Solver::LIGHT);
+        let bodies = scene.insert(&mut world, 1.0);
+        assert_eq!(bodies.keys().collect::<Vec<_>>(), [&"ball", &"floor", &"step"]);
+        let (ball, start) = scene.body("ball");
+        let off = world.pose(bodies["ball"]).translation.vector - start.translation.vector;
+        assert!(off.norm() < 1e-8);
+        assert!((start.translation.z - 0.03).abs() < 1e-12);
+        assert_eq!(ball.mass, 0.001);
+        assert_eq!(ball.body_from("top").translation.z, 0.01);
+        world.wake(bodies["ball"]);
+        world.step();
+        assert!(world.pose(bodies["ball"]).translation.z < start.translation.z);
+        assert!((world.pose(bodies["step"]).translation.z - 0.01).abs() < 1e-8);
+    }
+
+    #[test]
+    fn what_is_no_model_is_refused_with_a_reason() {
+        let refused = |urdf: &str| Model::from_urdf(urdf).unwrap_err().to_string();
+        assert!(refused("<robot").contains("no URDF"));
+        assert!(refused(SCENE).contains("several bodies"));
+        let changed = |from: &str, to: &str| {
+            assert!(SCENE.contains(from));
+            Scene::from_urdf(&SCENE.replace(from, to)).unwrap_err().to_string()
+        };
+        assert!(changed("\"floating\"", "\"revolute\"").contains("fixed and floating"));
+        assert!(changed("<mass value=\"0.001\"/>", "<mass value=\"0\"/>").contains("a mass"));
+        assert!(changed("<capsule radius", "<cylinder radius").contains("boxes and capsules"));
+        assert!(changed("<parent link=\"ball\"/>", "<parent link=\"top\"/>").contains("no body"));
+    }
+
+    const SCENE: &str = r#"<robot name="test">
+      <link name="floor">
+        <collision><geometry><box size="0.1 0.1 0.01"/></geometry></collision>
+      </link>
+      <link name="step">
+        <collision><geometry><box size="0.02 0.02 0.01"/></geometry></collision>
+      </link>
+      <link name="ball">
+        <inertial><mass value="0.001"/><inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0" izz="1"/></inertial>
+        <collision><geometry><capsule radius="0.005" length="0.002"/></geometry></collision>
+      </link>
+      <link name="top"/>
+      <joint name="a" type="fixed">
+        <parent link="floor"/><child link="step"/><origin xyz="0.04 0 0.01"/>
+      </joint>
+      <joint name="b" type="floating">
+        <parent link="step"/><child link="ball"/><origin xyz="0 0 0.02"/>
+      </joint>
+      <joint name="c" type="fixed">
+        <parent link="ball"/><child link="top"/><origin xyz="0 0 0.01"/>
+      </joint>
+    </robot>"#;
 }

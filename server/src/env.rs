@@ -22,13 +22,23 @@ use std::collections::VecDeque;
 use std::sync::Arc;
 
 use trocar_proto::goal::Reward;
-use trocar_proto::{Code, Rejection, TaskSpec};
+use trocar_proto::snapshot::{self, Recipe};
+use trocar_proto::{Code, Options, Rejection, TaskSpec};
 
 use crate::error::StepError;
 use crate::sim::random::Rng;
 use crate::sim::world::World;
 use crate::tasks::AnyTask;
 use crate::tasks::options::{Domain, SCALED_LENGTH, SCALED_LENGTHS_PER_METRE};
+use crate::tasks::start::Starts;
+
+mod rebuild;
+
+pub(crate) use rebuild::Rebuild;
+
+/// Most numbers of actions that are kept of an episode: they fit into an exported snapshot, and are
+/// 1300 steps of ten numbers.
+const RECORDED: usize = 13_000;
 
 /// What one step gave, besides what [`Env::observe`] shows.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -44,11 +54,12 @@ pub struct Step {
 }
 
 /// An environment as one value: world, task, randomness and step count. A clone is a snapshot and
-/// goes on bit by bit like the original.
+/// goes on bit by bit like the original; [`Self::export`] gives one as bytes.
 #[derive(Clone)]
 pub struct Env {
     spec: Arc<TaskSpec>,
-    prepared: Arc<World>,
+    beginning: Beginning,
+    options: Arc<Options>,
     domain: Domain,
     task: Box<dyn AnyTask>,
     world: World,
@@ -56,12 +67,25 @@ pub struct Env {
     episode: u64,
     steps: u32,
     state: State,
+    /// Whether it was said that an object is lost.
+    reported_loss: bool,
     noise: Noise,
     delayed: VecDeque<Option<Vec<f32>>>,
     command: Vec<f32>,
+    /// Actions since the episode began, as far as there is room.
+    taken: Vec<f32>,
     observation: Vec<f32>,
     achieved: Vec<f32>,
     desired: Vec<f32>,
+}
+
+/// From what episodes begin.
+#[derive(Clone)]
+enum Beginning {
+    /// One world, which a reset arranges.
+    World(Arc<World>),
+    /// One of several states.
+    Starts(Arc<Starts>),
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -85,14 +109,25 @@ impl Env {
     /// Memory that an environment is counted with, bytes: an upper bound over the tasks.
     pub const MEMORY_BYTES: u64 = 192 << 10;
 
-    /// An environment of `task`, which prepared `world`; it needs a reset.
-    pub(crate) fn new(task: Box<dyn AnyTask>, world: World, domain: Domain) -> Self {
-        let spec = task.spec();
+    /// An environment of `task` under all of `options`, which looks like `spec` and prepared `world`; it
+    /// needs a reset.
+    pub(crate) fn new(
+        spec: TaskSpec,
+        task: Box<dyn AnyTask>,
+        world: World,
+        domain: Domain,
+        options: Options,
+    ) -> Self {
         let (action, observation, goal) =
             (spec.action_dim(), spec.observation_dim(), spec.goal_dim());
         Self {
             spec: Arc::new(spec),
-            prepared: Arc::new(world.clone()),
+            beginning: if task.begins_prepared() {
+                Beginning::Starts(Arc::new(Starts::new(task.clone(), world.clone())))
+            } else {
+                Beginning::World(Arc::new(world.clone()))
+            },
+            options: Arc::new(options),
             domain,
             task,
             world,
@@ -100,9 +135,11 @@ impl Env {
             episode: 0,
             steps: 0,
             state: State::New,
+            reported_loss: false,
             noise: Noise { rng: Rng::new(0, 0), sigma: 0.0 },
             delayed: VecDeque::new(),
             command: vec![0.0; action],
+            taken: vec![],
             observation: vec![0.0; observation],
             achieved: vec![0.0; goal],
             desired: vec![0.0; goal],
@@ -114,6 +151,21 @@ impl Env {
         &self.spec
     }
 
+    /// What is simulated, to look at.
+    pub fn world(&self) -> &World {
+        &self.world
+    }
+
+    /// Whether an object has left the theatre: it fell off the table, or was thrown away. Observations
+    /// show it at the edge.
+    pub fn has_lost_objects(&self) -> bool {
+        let theatre = self.task.theatre();
+        self.world.objects().any(|object| {
+            let at = self.world.pose(object).translation.vector;
+            theatre.clamp(&at) != at
+        })
+    }
+
     /// Begins an episode: episode 0 of `seed`, or without one the next episode of the seed that is
     /// set (the first ever is episode 0 of seed 0).
     pub fn reset(&mut self, seed: Option<u64>) {
@@ -122,11 +174,26 @@ impl Env {
             None if self.state == State::New => {}
             None => self.episode += 1,
         }
+        self.begin();
+    }
+
+    /// Begins the episode that is set.
+    fn begin(&mut self) {
         tracing::debug!(task = self.spec.id, self.seed, self.episode, "reset");
         self.steps = 0;
+        self.taken.clear();
         self.state = State::Running;
-        self.world.clone_from(&self.prepared);
-        self.task.reset(&mut self.world, &mut Rng::new(self.seed, self.episode));
+        self.reported_loss = false;
+        let mut rng = Rng::new(self.seed, self.episode);
+        match &self.beginning {
+            Beginning::World(world) => self.world.clone_from(world),
+            Beginning::Starts(starts) => {
+                let (task, world) = starts.draw(&mut rng);
+                self.task.clone_from(task);
+                self.world.clone_from(world);
+            }
+        }
+        self.task.reset(&mut self.world, &mut rng);
 
         let mut rng = Rng::sensor(self.seed, self.episode);
         let latency = self.domain.latency.draw_integer(&mut rng);
@@ -174,6 +241,7 @@ impl Env {
             return Err(StepError::ResetNeeded);
         }
         self.check(action)?;
+        self.take_down(action);
         let arrived = self.delay(action);
         let command = arrived.then_some(self.command.as_slice());
         self.task.apply(&mut self.world, command);
@@ -198,6 +266,12 @@ impl Env {
             return Err(StepError::Simulation { what, step: self.steps });
         }
 
+        if !self.reported_loss && self.has_lost_objects() {
+            self.reported_loss = true;
+            let Self { seed, episode, steps, .. } = self;
+            tracing::warn!(task = self.spec.id, seed, episode, steps, "an object left the theatre");
+        }
+
         let reward = match (&self.spec.goal, self.spec.reward) {
             (Some(goal), Reward::Sparse | Reward::Dense) => {
                 self.spec.reward.of(&goal.success, &self.achieved, &self.desired)
@@ -219,6 +293,24 @@ impl Env {
         observation.copy_from_slice(&self.observation);
         achieved.copy_from_slice(&self.achieved);
         desired.copy_from_slice(&self.desired);
+    }
+
+    /// The present state as bytes, from which [`Self::import`] rebuilds it: here, in another process
+    /// or on another machine.
+    pub fn export(&self) -> Result<Vec<u8>, Rejection> {
+        self.recipe()?.to_bytes()
+    }
+
+    /// An environment of the same task and options in the state that `bytes` tell of; they may be
+    /// anything. Rebuilding it takes as long as the episode took up to there.
+    pub fn import(&self, bytes: &[u8]) -> Result<Self, Rejection> {
+        let recipe = Recipe::from_bytes(bytes)?;
+        self.check_recipe(&recipe)?;
+        let mut rebuild = Rebuild::new(self, recipe);
+        while !rebuild.is_done() {
+            rebuild.step();
+        }
+        rebuild.finish()
     }
 
     /// Writes the scripted expert's action for the present state.
@@ -247,6 +339,13 @@ impl Env {
                 action[index],
                 format!("a finite number ({})", self.spec.action[index].name),
             )),
+        }
+    }
+
+    /// Keeps the action for [`Self::export`], where there is room.
+    fn take_down(&mut self, action: &[f32]) {
+        if self.taken.len() + action.len() <= RECORDED {
+            self.taken.extend(action.iter().map(|number| number.clamp(-1.0, 1.0)));
         }
     }
 

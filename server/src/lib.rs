@@ -22,4 +22,5 @@ pub mod tasks;
 
 pub use env::{Env, Step};
 pub use error::StepError;
+pub use service::{ServerConfig, StopSignal, serve};
 pub use tasks::{Registry, Task};

@@ -20,8 +20,9 @@ from trocar._connection import status
 from trocar._trocar import Element, OptionSpec, TaskSpec, __version__
 from trocar.env import TrocarEnv
 from trocar.errors import ServerLost, TrocarError
-from trocar.registration import register_all
+from trocar.registration import register, register_all
 from trocar.server import Server, binary
+from trocar.snapshot import Snapshot
 from trocar.vector import TrocarVectorEnv
 
 __all__ = [
@@ -29,6 +30,7 @@ __all__ = [
     "OptionSpec",
     "Server",
     "ServerLost",
+    "Snapshot",
     "TaskSpec",
     "TrocarEnv",
     "TrocarError",
@@ -36,6 +38,7 @@ __all__ = [
     "__version__",
     "binary",
     "errors",
+    "register",
     "register_all",
     "status",
 ]

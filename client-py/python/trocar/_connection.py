@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from trocar import _trocar
 from trocar.errors import Closed, ResetNeeded, ServerLost, UnknownSession
 from trocar.server import binary
+from trocar.snapshot import Snapshot
 
 SERVER = "TROCAR_SERVER"
 """The environment variable that names the server to use where an environment names none."""
@@ -122,11 +123,7 @@ class Connection:
         seeds: NDArray[np.uint64] | None = None,
     ) -> _trocar.Reply:
         """Resets environments; a reset of all opens the session anew where that is needed."""
-        if self._closed:
-            raise Closed("the environment was closed")
-        foreign = self._process != os.getpid()
-        if env_ids is None and (self._session is None or foreign):
-            self._open()
+        self._ready(everything=env_ids is None)
         return self._try(lambda session: session.reset(env_ids, seeds))
 
     def step(self, actions: Any) -> _trocar.Reply:
@@ -140,6 +137,23 @@ class Connection:
     def recv(self) -> _trocar.Reply:
         """Waits for the oldest of the steps that were started."""
         return self._try(lambda session: session.recv())
+
+    def snapshot(self, env_ids: NDArray[np.uint32] | None = None) -> Snapshot:
+        """Saves the states of environments."""
+        return self._try(lambda session: Snapshot(session, session.snapshot(env_ids)))
+
+    def restore(
+        self, snapshot: Snapshot, env_ids: NDArray[np.uint32] | None = None
+    ) -> _trocar.Reply:
+        """Lets environments go on from a snapshot; all of them also in a session opened anew."""
+        self._ready(everything=env_ids is None)
+        return self._try(lambda session: session.restore(snapshot.states_in(session), env_ids))
+
+    def fork(
+        self, sources: NDArray[np.uint32], env_ids: NDArray[np.uint32] | None = None
+    ) -> _trocar.Reply:
+        """Lets environments go on from the present states of others."""
+        return self._try(lambda session: session.fork(sources, env_ids))
 
     def abandon(self) -> None:
         """Gives up on the replies in flight."""
@@ -155,6 +169,14 @@ class Connection:
         """Ends the session; twice does no harm."""
         self._closed = True
         self._drop()
+
+    def _ready(self, *, everything: bool) -> None:
+        """Opens the session anew where that is needed by a request about everything."""
+        if self._closed:
+            raise Closed("the environment was closed")
+        foreign = self._process != os.getpid()
+        if everything and (self._session is None or foreign):
+            self._open()
 
     def _open(self) -> _trocar.Session:
         """Opens a session whose seed nobody knows, as Gymnasium wants it without a seed."""

@@ -19,9 +19,11 @@ __all__ = [
     "OptionSpec",
     "Reply",
     "Session",
+    "Snapshot",
     "TaskSpec",
     "__version__",
     "new_identity",
+    "split_snapshot",
 ]
 
 __version__: str
@@ -30,6 +32,9 @@ BINARY: str
 
 def new_identity() -> str:
     """A name for a private server that nobody else has, with this process as its root."""
+
+def split_snapshot(data: bytes) -> list[bytes]:
+    """The parts of an exported snapshot, one for each environment."""
 
 @final
 class Client:
@@ -108,6 +113,16 @@ class Session:
         """Starts a step of some environments."""
     def recv(self) -> Reply:
         """Waits for the reply to the oldest request; where interrupted, it can be repeated."""
+    def snapshot(self, env_ids: NDArray[np.uint32] | None = None) -> Snapshot:
+        """Saves the states of environments and waits."""
+    def restore(self, snapshot: Snapshot, env_ids: NDArray[np.uint32] | None = None) -> Reply:
+        """Lets environments go on from a snapshot of this session, and waits."""
+    def fork(self, sources: NDArray[np.uint32], env_ids: NDArray[np.uint32] | None = None) -> Reply:
+        """Lets environments go on from the present states of others, and waits."""
+    def export_snapshot(self, snapshot: Snapshot) -> bytes:
+        """A snapshot of this session as bytes."""
+    def import_snapshot(self, data: bytes) -> Snapshot:
+        """Brings an exported snapshot into this session."""
     def abandon(self) -> None:
         """Gives up on the replies of all requests in flight."""
     def close(self) -> None:
@@ -115,7 +130,7 @@ class Session:
 
 @final
 class Reply:
-    """The reply to a reset or a step. Row r belongs to environment ``env_ids()[r]``.
+    """The reply to a reset, step, restore or fork. Row r belongs to environment ``env_ids()[r]``.
 
     With ``copy=False``, arrays are read-only, lie in shared memory and keep the reply there.
     """
@@ -160,6 +175,14 @@ class Reply:
         """Number of the episode under its seed: (rows)."""
     def outcome(self) -> tuple[float, bool, bool, bool, bool]:
         """Reward, terminated, truncated, success and fault of row 0, without arrays."""
+
+@final
+class Snapshot:
+    """States of environments, which stay in the server until this is gone or the session ends."""
+
+    def __len__(self) -> int: ...
+    def select(self, indices: list[int]) -> Snapshot:
+        """The states of these indices, in that order."""
 
 @final
 class TaskSpec:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from copy import deepcopy
 from typing import Any, ClassVar
 
 import gymnasium as gym
@@ -18,8 +19,10 @@ from trocar._goal import (
     check_seed,
     observation,
     observation_space,
+    shown,
 )
 from trocar.errors import InvalidOption, ResetNeeded, refuse
+from trocar.snapshot import Snapshot
 
 
 class TrocarEnv(GoalFunctions, gym.Env[Observation, NDArray[np.float32]]):
@@ -28,7 +31,8 @@ class TrocarEnv(GoalFunctions, gym.Env[Observation, NDArray[np.float32]]):
     Observations are dictionaries of float32 arrays: ``observation``, ``achieved_goal`` and
     ``desired_goal``; :attr:`task_spec` says what each element means. ``info["is_success"]`` says
     after each step whether the goal is reached. Episodes never terminate there; they are truncated
-    by the server at the task's number of steps.
+    by the server at the task's number of steps. Tasks without goals return the array
+    ``observation`` alone, never report success, and may terminate.
 
     ``reset(seed=s)`` begins the first episode of seed ``s``, ``reset()`` the next one; which one it
     was, ``info["episode_seed"]`` and ``info["episode_index"]`` tell. Without any seed, a random one
@@ -105,6 +109,29 @@ class TrocarEnv(GoalFunctions, gym.Env[Observation, NDArray[np.float32]]):
             info["simulation_failed"] = True
         return self._observation(reply, info), reward, terminated, truncated, info
 
+    def snapshot(self) -> Snapshot:
+        """Saves the present state, at any moment after the first reset.
+
+        Wrappers have state of their own: ``env.unwrapped`` has this method, and ``TimeLimit``, with
+        which :func:`gymnasium.make` counts steps, does not notice a :meth:`restore`. For planning,
+        make the environment with ``max_episode_steps=-1``; the server ends episodes in any case.
+        """
+        return self._connection.snapshot()
+
+    def restore(self, snapshot: Snapshot) -> Observation:
+        """Goes on from a snapshot, and returns what is observed there.
+
+        What then follows has the same bits as what followed the snapshot, seeds of later episodes
+        included. It may be another environment's, of the same task and options.
+        """
+        return self._observation(self._connection.restore(snapshot), {})
+
+    def fork(self) -> TrocarEnv:
+        """A second environment, with a session of its own, that goes on from the present state."""
+        twin = deepcopy(self)
+        twin.restore(self.snapshot())
+        return twin
+
     def expert_action(self) -> NDArray[np.float32]:
         """What the scripted expert would do now; only with ``expert=True``."""
         if not self._connection.expert:
@@ -125,7 +152,7 @@ class TrocarEnv(GoalFunctions, gym.Env[Observation, NDArray[np.float32]]):
         if self._connection.expert:
             self._expert_action = reply.expert_action()[0]
             info["expert_action"] = self._expert_action.copy()
-        return {name: rows[0] for name, rows in observation(reply, self._copy).items()}
+        return shown({name: rows[0] for name, rows in observation(reply, self._copy).items()})
 
     def __getstate__(self) -> dict[str, Any]:
         return {**self.__dict__, "_expert_action": None}

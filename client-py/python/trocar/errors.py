@@ -48,6 +48,14 @@ class InvalidEnvIds(InvalidRequest):
     """Environment numbers are out of range, out of order, repeated or busy."""
 
 
+class UnknownSnapshot(InvalidRequest):
+    """The session has no such snapshot."""
+
+
+class InvalidSnapshot(InvalidRequest):
+    """The bytes are no snapshot, or none of this task and these options."""
+
+
 class ResetNeeded(TrocarError, gymnasium.error.ResetNeeded):
     """An environment was stepped before its first reset, or after its episode ended."""
 

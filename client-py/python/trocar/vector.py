@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import gymnasium as gym
@@ -22,8 +22,10 @@ from trocar._goal import (
     final_observation,
     observation,
     observation_space,
+    shown,
 )
 from trocar.errors import InvalidEnvIds, InvalidOption, InvalidRequest, ResetNeeded, refuse
+from trocar.snapshot import Snapshot
 
 Step = tuple[Observation, NDArray[np.float32], NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]
 """Observations, rewards, terminations, truncations, infos; a row for each environment."""
@@ -147,7 +149,7 @@ class TrocarVectorEnv(
         infos = _masked(chosen, **{name: latest.pop(name) for name in EPISODE})
         if self._connection.expert:
             infos |= _masked(chosen, expert_action=expert_action)
-        return latest, infos
+        return shown(latest), infos
 
     def step(self, actions: ArrayLike) -> Step:
         """Acts in every environment; ``actions`` has shape (num_envs, action dim)."""
@@ -174,6 +176,59 @@ class TrocarVectorEnv(
         observations, rewards, terminations, truncations, infos = self._transition(reply)
         infos["env_id"] = reply.env_ids()
         return observations, rewards, terminations, truncations, infos
+
+    def snapshot(self, env_ids: ArrayLike | None = None) -> Snapshot:
+        """Saves the present states of some environments; of all if ``env_ids`` is ``None``.
+
+        None of them may be under way by :meth:`send`.
+        """
+        return self._connection.snapshot(None if env_ids is None else self._env_ids(env_ids))
+
+    def restore(self, snapshot: Snapshot, env_ids: ArrayLike | None = None) -> Observation:
+        """Lets environments go on from a snapshot.
+
+        What then follows has the same bits as what followed the snapshot: also which episodes come
+        next, so environments that went on from one state have these in common.
+
+        Args:
+            snapshot: As many states as there are environments to restore, or one for all of them.
+                It may be another's, of the same task and options.
+            env_ids: Which environments, in increasing order; all if ``None``.
+
+        Returns:
+            The latest observations of all environments.
+        """
+        ids = None if env_ids is None else self._env_ids(env_ids)
+        return self._placed(ids, lambda: self._connection.restore(snapshot, ids))
+
+    def fork(self, source: ArrayLike, env_ids: ArrayLike | None = None) -> Observation:
+        """Lets environments go on from the present states of others, as :meth:`restore` does.
+
+        Args:
+            source: An environment for each of ``env_ids``, or one for all of them. They may repeat,
+                and be among ``env_ids``: what counts is their state before.
+            env_ids: Which environments, in increasing order; all if ``None``.
+
+        Returns:
+            The latest observations of all environments.
+        """
+        ids = None if env_ids is None else self._env_ids(env_ids)
+        sources = self._env_ids(np.atleast_1d(np.asarray(source)), "source")
+        return self._placed(ids, lambda: self._connection.fork(sources, ids))
+
+    def _placed(
+        self, env_ids: NDArray[np.uint32] | None, request: Callable[[], _trocar.Reply]
+    ) -> Observation:
+        """The latest observations after a request that put environments somewhere."""
+        if env_ids is None:
+            self._latest.whole(request())
+        else:
+            self._latest.check()
+            self._latest.part(request())
+        latest = self._latest.arrays(self._copy)
+        for name in (*EPISODE, "expert_action"):
+            del latest[name]
+        return shown(latest)
 
     def expert_action(self) -> NDArray[np.float32]:
         """What the scripted expert would do now: (num_envs, action dim); with ``expert=True``."""
@@ -229,7 +284,8 @@ class TrocarVectorEnv(
             infos |= _masked(failed, simulation_failed=failed)
         if self._connection.expert:
             infos |= _masked(everyone, expert_action=reply.expert_action())
-        return observation(reply, self._copy), reply.reward(), terminations, truncations, infos
+        state = shown(observation(reply, self._copy))
+        return state, reply.reward(), terminations, truncations, infos
 
     def _chosen(self, options: dict[str, Any] | None) -> NDArray[np.bool_]:
         """Which environments a reset is about."""
@@ -257,14 +313,14 @@ class TrocarVectorEnv(
         check_seed(seed)
         return [check_seed(seed + index) for index in range(self.num_envs)]
 
-    def _env_ids(self, env_ids: ArrayLike | None) -> NDArray[np.uint32]:
+    def _env_ids(self, env_ids: ArrayLike | None, field: str = "env_ids") -> NDArray[np.uint32]:
         if env_ids is None:
             return np.arange(self.num_envs, dtype=np.uint32)
         array = np.asarray(env_ids)
         in_range = array.dtype.kind in "iu" and ((array >= 0) & (array < self.num_envs)).all()
         if array.ndim != 1 or array.size == 0 or not in_range:
             allowed = f"allowed are one or more increasing numbers below {self.num_envs}"
-            raise refuse(InvalidEnvIds, "env_ids", env_ids, allowed)
+            raise refuse(InvalidEnvIds, field, env_ids, allowed)
         return array.astype(np.uint32)
 
     def __getstate__(self) -> dict[str, Any]:
@@ -334,7 +390,7 @@ def _final(reply: _trocar.Reply, ended: NDArray[np.bool_]) -> dict[str, Any]:
     last = final_observation(reply)
     observations = np.full(reply.rows, None, dtype=object)
     for row in np.flatnonzero(ended):
-        observations[row] = {name: rows[row].copy() for name, rows in last.items()}
+        observations[row] = shown({name: rows[row].copy() for name, rows in last.items()})
     return {
         "final_obs": observations,
         "_final_obs": ended.copy(),

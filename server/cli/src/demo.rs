@@ -5,7 +5,6 @@
 
 pub(crate) mod client;
 mod display;
-mod process;
 
 use std::path::PathBuf;
 use std::process::Command;
@@ -16,12 +15,11 @@ use std::time::{Duration, Instant};
 use anyhow::{Context, bail};
 use clap::Args;
 use serde::{Deserialize, Serialize};
-use trocar_client::Client;
 use trocar_proto::endpoint::{Endpoint, ServerName};
 
 use crate::output;
+use crate::process::{OwnServer, Process};
 use display::Display;
-use process::Process;
 
 /// How long clients may be silent.
 const PATIENCE: Duration = Duration::from_mins(1);
@@ -126,12 +124,7 @@ impl Demo {
             PARTS.len(),
             self.envs
         );
-        let mut server = Command::new(&this);
-        // Private: should this process be killed, the server ends by itself.
-        server.args(["serve", "--name", name.as_str(), "--private"]);
-        server.arg(std::process::id().to_string()).env("TROCAR_LOG", "error");
-        let mut server = Process::start("server", server)?;
-        let client = connect(name, &mut server)?;
+        let server = OwnServer::start(name, &[])?;
 
         let (sender, reports) = mpsc::channel();
         let mut workers = Vec::new();
@@ -161,16 +154,14 @@ impl Demo {
             display.show(index, &progress);
             if !begun && last.iter().all(Option::is_some) {
                 begun = true;
-                workers.iter_mut().try_for_each(Process::begin)?;
+                workers.iter_mut().try_for_each(|worker| worker.tell("go"))?;
             }
         }
         display.finish();
         for mut worker in workers {
             worker.wait(PATIENCE)?;
         }
-        client.shut_down()?;
-        drop(client);
-        server.wait(PATIENCE)?;
+        server.stop()?;
         Ok(last.into_iter().flatten().collect())
     }
 
@@ -221,21 +212,6 @@ impl Demo {
         }
         eprintln!("{table}");
         Ok(())
-    }
-}
-
-/// Connects to the server once it is there.
-fn connect(name: &ServerName, server: &mut Process) -> anyhow::Result<Client> {
-    let start = Instant::now();
-    loop {
-        match Client::connect(name.as_str()) {
-            Ok(client) => return Ok(client),
-            Err(trocar_client::ConnectError::NoServer { .. }) if start.elapsed() < PATIENCE => {
-                server.check()?;
-                std::thread::sleep(Duration::from_millis(5));
-            }
-            Err(error) => return Err(error.into()),
-        }
     }
 }
 

@@ -3,16 +3,19 @@
 //! | file | holds |
 //! |---|---|
 //! | `serve.rs`, `status.rs`, `stop.rs`, `clean.rs` | a server's life |
-//! | `tasks.rs`, `rollout.rs` | what there is to learn, and how well a policy does |
+//! | `tasks.rs`, `rollout.rs`, `bench.rs` | what there is to learn, how well a policy does, how fast |
 //! | `demo.rs` | one server and three clients in two languages at once |
-//! | `options.rs` | a task's options as text |
+//! | `policy.rs`, `process.rs`, `options.rs` | who acts; processes that are started; options as text |
 //! | `output.rs`, `exit.rs` | JSON lines, tables; exit codes |
 
+mod bench;
 mod clean;
 mod demo;
 mod exit;
 mod options;
 mod output;
+mod policy;
+mod process;
 mod rollout;
 mod serve;
 mod status;
@@ -38,6 +41,7 @@ A first session:
   trocar rollout --task NeedleReach-v0           how well its scripted expert does, in this process
   trocar serve --name lab                        a server that trainers share (Ctrl-C ends it)
   trocar rollout --task all --server lab         the same episodes, in that server
+  trocar bench --quick                           how fast this machine is
   trocar status --name lab --watch               who is connected, and how fast it runs
   trocar stop --name lab                         ends it
 
@@ -67,6 +71,8 @@ enum Command {
     Tasks(tasks::Tasks),
     /// Run a policy for some episodes and report how often it succeeds
     Rollout(rollout::Rollout),
+    /// Measure environment steps per second, in this process and through a server
+    Bench(bench::Bench),
     /// Show one server with a Rust and two Python clients at work (`make demo`)
     Demo(demo::Demo),
     /// One client of the demonstration
@@ -85,6 +91,7 @@ fn main() -> ExitCode {
         Command::Clean(clean) => clean.run(),
         Command::Tasks(tasks) => tasks.run(),
         Command::Rollout(rollout) => rollout.run(),
+        Command::Bench(bench) => bench.run(),
         Command::Demo(demo) => demo.run(),
         Command::DemoClient(client) => client.run(),
     };

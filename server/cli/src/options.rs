@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use serde_json::{Value, json};
 use trocar_proto::spec::{Allowed, OptionSpec};
-use trocar_proto::{OptionValue, Options};
+use trocar_proto::{OptionValue, Options, TaskSpec};
 
 use crate::exit::Exit;
 
@@ -77,6 +77,35 @@ pub(crate) fn options(assignments: &[Assignment], known: &[OptionSpec]) -> anyho
         }
     }
     Ok(options)
+}
+
+/// Every task with those of `assignments` that it knows. A single task must know all of them; of
+/// several, some must.
+pub(crate) fn for_tasks(
+    assignments: &[Assignment],
+    tasks: &[TaskSpec],
+) -> anyhow::Result<Vec<(String, Options)>> {
+    if let [task] = tasks {
+        return Ok(vec![(task.id.clone(), options(assignments, &task.options)?)]);
+    }
+    let knows = |task: &TaskSpec, given: &Assignment| {
+        task.options.iter().any(|option| option.name == given.name)
+    };
+    if let Some(unknown) =
+        assignments.iter().find(|given| !tasks.iter().any(|task| knows(task, given)))
+    {
+        let text = format!("options.{}: no task knows this option", unknown.name);
+        return Err(Exit::Usage(text).into());
+    }
+    let with_options = |task: &TaskSpec| {
+        let (known, others): (Vec<_>, Vec<_>) =
+            assignments.iter().cloned().partition(|given| knows(task, given));
+        for ignored in others {
+            eprintln!("{}: has no option {}, ignored", task.id, ignored.name);
+        }
+        Ok((task.id.clone(), options(&known, &task.options)?))
+    };
+    tasks.iter().map(with_options).collect()
 }
 
 /// A value as JSON.

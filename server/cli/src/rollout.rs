@@ -4,7 +4,6 @@
 //! ([`in_process`]) or in a server ([`served`]), however many at a time. The numbers are the same.
 
 mod in_process;
-mod policy;
 mod served;
 
 use std::time::Instant;
@@ -17,10 +16,9 @@ use trocar_client::Client;
 use trocar_proto::{Options, TaskSpec};
 use trocar_server::tasks::Registry;
 
-use crate::exit::Exit;
 use crate::options::{self, Assignment};
 use crate::output;
-use policy::Policy;
+use crate::policy::Policy;
 
 /// Run a policy for some episodes and report how often it succeeds.
 #[derive(Debug, Args)]
@@ -60,9 +58,18 @@ pub(crate) struct Rollout {
     /// What the numbers of an action mean: paper, cartesian, cartesian_abs or joint
     #[arg(long, value_name = "WORD")]
     action: Option<String>,
+    /// What holds an object in the jaws: interact, approx or weld
+    #[arg(long, value_name = "WORD")]
+    grasp: Option<String>,
+    /// With --grasp approx: from the jaws' tip to the object's surface, m
+    #[arg(long, value_name = "METRES")]
+    grasp_distance: Option<String>,
     /// Where objects and goals appear: workspace or narrow
     #[arg(long, value_name = "WORD")]
     spawn: Option<String>,
+    /// How much is done when an episode begins: reset, approach, pick or lift
+    #[arg(long, value_name = "WORD")]
+    start: Option<String>,
     /// Whose numbers: paper or surrol
     #[arg(long, value_name = "WORD")]
     preset: Option<String>,
@@ -199,7 +206,10 @@ impl Rollout {
         let named = [
             ("reward", &self.reward),
             ("action", &self.action),
+            ("grasp", &self.grasp),
+            ("grasp_distance", &self.grasp_distance),
             ("spawn", &self.spawn),
+            ("start", &self.start),
             ("preset", &self.preset),
         ];
         let named = named
@@ -208,41 +218,16 @@ impl Rollout {
         named.chain(self.options.iter().cloned()).collect()
     }
 
-    /// The tasks to run, each with the options that it knows. One task must know all of them;
-    /// of all tasks, some must.
+    /// The tasks to run, each with the options that it knows.
     fn chosen(
         &self,
         place: &Place,
         assignments: &[Assignment],
     ) -> anyhow::Result<Vec<(String, Options)>> {
-        if self.task != "all" {
-            let spec = place.spec(&self.task, &Options::new())?;
-            let options = options::options(assignments, &spec.options)?;
-            return Ok(vec![(self.task.clone(), options)]);
-        }
-        let specs = place
-            .tasks()?
-            .iter()
-            .map(|task| place.spec(task, &Options::new()))
-            .collect::<anyhow::Result<Vec<_>>>()?;
-        let knows = |spec: &TaskSpec, assignment: &Assignment| {
-            spec.options.iter().any(|option| option.name == assignment.name)
-        };
-        if let Some(unknown) =
-            assignments.iter().find(|given| !specs.iter().any(|spec| knows(spec, given)))
-        {
-            let text = format!("options.{}: no task knows this option", unknown.name);
-            return Err(Exit::Usage(text).into());
-        }
-        let with_options = |spec: &TaskSpec| {
-            let known: Vec<_> =
-                assignments.iter().filter(|given| knows(spec, given)).cloned().collect();
-            for ignored in assignments.iter().filter(|given| !knows(spec, given)) {
-                eprintln!("{}: has no option {}, ignored", spec.id, ignored.name);
-            }
-            Ok((spec.id.clone(), options::options(&known, &spec.options)?))
-        };
-        specs.iter().map(with_options).collect()
+        let ids = if self.task == "all" { place.tasks()? } else { vec![self.task.clone()] };
+        let specs = ids.iter().map(|task| place.spec(task, &Options::new()));
+        let specs = specs.collect::<anyhow::Result<Vec<_>>>()?;
+        options::for_tasks(assignments, &specs)
     }
 
     fn roll_out(&self, place: &Place, task: &str, options: Options) -> anyhow::Result<Row> {

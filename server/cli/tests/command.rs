@@ -75,7 +75,7 @@ impl Drop for Server {
 
 #[test]
 fn every_help_text_shows_examples() {
-    for command in ["serve", "status", "stop", "clean", "tasks", "rollout", "demo"] {
+    for command in ["serve", "status", "stop", "clean", "tasks", "rollout", "bench", "demo"] {
         let help = run(&[command, "--help"]);
         let text = String::from_utf8(help.stdout).unwrap();
         assert!(help.status.success() && text.contains("Examples:"), "{command}: {text}");
@@ -93,6 +93,10 @@ fn exit_codes_tell_what_was_wrong() {
         &["rollout", "--option", "weather=rain"],
         &["rollout", "--episodes", "0"],
         &["rollout", "--policy", "genius"],
+        &["bench", "--task", "Juggle-v0"],
+        &["bench", "--mode", "by_hand"],
+        &["bench", "--envs", "0"],
+        &["bench", "--option", "weather=rain"],
         &["serve", "--name", "no spaces"],
         &["serve", "--memory", "1"],
         &["juggle"],
@@ -140,6 +144,7 @@ fn tasks_are_listed_with_dimensions_and_options() {
 fn a_rollout_gives_the_same_numbers_in_a_server_and_however_batched() {
     let server = Server::start("same");
     let place = ["--server", server.name.as_str()];
+    let tasks = json_lines(&run(&["tasks", "--json"])).len();
     for policy in ["oracle", "random"] {
         let common = [
             "rollout",
@@ -162,7 +167,7 @@ fn a_rollout_gives_the_same_numbers_in_a_server_and_however_batched() {
         ]
         .map(|arguments| {
             let mut rows = json_lines(&run(&arguments));
-            assert_eq!(rows.len(), 3);
+            assert_eq!(rows.len(), tasks);
             for row in &mut rows {
                 assert!(row["steps_per_second"].as_f64().unwrap() > 0.0);
                 row.as_object_mut().unwrap().remove("steps_per_second");
@@ -186,7 +191,59 @@ fn a_rollout_gives_the_same_numbers_in_a_server_and_however_batched() {
         );
         assert_eq!(first[0]["grasp"], Value::Null);
         assert_eq!(first[0]["success_rate"], if policy == "oracle" { 1.0 } else { 0.0 });
+        // A task without goals has a return, and nothing to succeed in.
+        let row = first.iter().find(|row| row["task"] == "ActiveTrack-v0").unwrap();
+        assert_eq!((&row["success_rate"], &row["success_ever_rate"]), (&Value::Null, &Value::Null));
+        let mean = row["mean_return"].as_f64().unwrap();
+        assert!(if policy == "oracle" { mean > 450.0 } else { mean < 400.0 }, "{mean}");
     }
+}
+
+#[test]
+fn a_bench_measures_every_mode_that_it_can() {
+    let arguments = "bench --quick --json --task EcmReach-v0 --envs 1,3 --policy random,oracle";
+    let arguments: Vec<_> = arguments.split(' ').collect();
+    let output = trocar(&arguments).env("TROCAR_PYTHON", "/nonexistent/python").output().unwrap();
+    assert!(stderr(&output).contains("client_py is left out"), "{}", stderr(&output));
+    assert!(stderr(&output).contains("/nonexistent/python"));
+    let rows = json_lines(&output);
+    let measured: Vec<_> = rows
+        .iter()
+        .map(|row| {
+            assert_eq!(
+                keys(row),
+                [
+                    "envs",
+                    "mode",
+                    "policy",
+                    "ratio_to_in_process",
+                    "steps_per_cpu_second",
+                    "steps_per_second",
+                    "task",
+                    "threads"
+                ]
+            );
+            for rate in ["steps_per_second", "steps_per_cpu_second", "ratio_to_in_process"] {
+                assert!(row[rate].as_f64().unwrap() > 0.0, "{row}");
+            }
+            assert_eq!((&row["task"], &row["threads"]), (&"EcmReach-v0".into(), &1.into()));
+            let word = |key: &str| row[key].as_str().unwrap().to_string();
+            (word("policy"), row["envs"].as_u64().unwrap(), word("mode"))
+        })
+        .collect();
+    let mut expected = vec![];
+    for policy in ["random", "oracle"] {
+        for envs in [1, 3] {
+            for mode in ["in_process", "client_rs"] {
+                expected.push((policy.to_string(), envs, mode.to_string()));
+            }
+        }
+    }
+    assert_eq!(measured, expected);
+    // Alone, there is nothing to compare with.
+    let alone = "bench --quick --json --task EcmReach-v0 --envs 2 --policy random --mode client_rs";
+    let rows = json_lines(&run(&alone.split(' ').collect::<Vec<_>>()));
+    assert_eq!((rows.len(), &rows[0]["ratio_to_in_process"]), (1, &Value::Null));
 }
 
 #[test]

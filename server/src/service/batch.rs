@@ -1,4 +1,4 @@
-//! The environments of a session: reset, step, autoreset. No transport in here.
+//! The environments of a session: reset, step, autoreset, copies. No transport in here.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -8,7 +8,7 @@ use trocar_proto::{Code, Rejection, TaskSpec};
 
 use super::rows::Rows;
 use super::scheduler::{Divisible, Scheduler};
-use crate::env::Env;
+use crate::env::{Env, Rebuild};
 use crate::error::StepError;
 use crate::tasks::Registry;
 
@@ -22,12 +22,14 @@ pub(crate) struct Batch {
 }
 
 /// What a request does with each of its environments.
-#[derive(Debug, Clone, Copy)]
+#[derive(Clone, Copy)]
 pub(crate) enum Deed<'a> {
     /// Reset; with the seeds (rows) where given, else to the next episode.
     Reset(Option<&'a [u64]>),
     /// Step with the actions (rows, action dim).
     Step(&'a [f32]),
+    /// Go on from these states (rows).
+    Restore(&'a [Arc<Env>]),
 }
 
 impl Batch {
@@ -48,6 +50,51 @@ impl Batch {
     /// The task under the session's options.
     pub(crate) fn spec(&self) -> &Arc<TaskSpec> {
         &self.spec
+    }
+
+    /// Copies of the environments `env_ids`, as they are now.
+    pub(crate) fn copies(
+        &self,
+        env_ids: &[u32],
+        scheduler: &Scheduler,
+    ) -> Result<Vec<Arc<Env>>, Rejection> {
+        self.check_env_ids(env_ids)?;
+        for id in env_ids {
+            self.envs[*id as usize]
+                .check_begun()
+                .map_err(|refusal| Rejection { value: id.to_string(), ..refusal })?;
+        }
+        let mut copies = vec![None; env_ids.len()];
+        let mut cost = COPY;
+        let work = Copying { envs: &self.envs, env_ids, copies: &mut copies };
+        scheduler.run(work, &mut cost);
+        Ok(copies.into_iter().flatten().collect())
+    }
+
+    /// For every row the state that the environment of that number is in now.
+    pub(crate) fn sources(
+        &self,
+        numbers: &[u64],
+        scheduler: &Scheduler,
+    ) -> Result<Vec<Arc<Env>>, Rejection> {
+        if let Some(number) = numbers.iter().find(|number| **number >= self.envs.len() as u64) {
+            let allowed = format!("allowed are numbers below {}", self.envs.len());
+            return Err(Rejection::new(Code::InvalidEnvIds, "source", number, allowed));
+        }
+        let mut ids: Vec<u32> = numbers.iter().map(|number| *number as u32).collect();
+        ids.sort_unstable();
+        ids.dedup();
+        let copies = self.copies(&ids, scheduler)?;
+        let source = |number: &u64| {
+            let at = ids.binary_search(&(*number as u32)).expect("its number was copied");
+            Arc::clone(&copies[at])
+        };
+        Ok(numbers.iter().map(source).collect())
+    }
+
+    /// An environment like those of the session.
+    pub(crate) fn like(&self) -> &Env {
+        &self.envs[0]
     }
 
     /// Carries out `deed` for the environments `env_ids` and writes their rows. Either all of it
@@ -154,6 +201,10 @@ impl Divisible for Work<'_> {
                 let (actions, later) = actions.split_at(at * self.action_dim);
                 (Deed::Step(actions), Deed::Step(later))
             }
+            Deed::Restore(states) => {
+                let (states, later) = states.split_at(at);
+                (Deed::Restore(states), Deed::Restore(later))
+            }
         };
         let (rows, later_rows) = self.rows.split_at(at);
         let part = |first, envs, env_ids, deed, rows| Self {
@@ -183,9 +234,78 @@ impl Divisible for Work<'_> {
                     let action = &actions[row * self.action_dim..(row + 1) * self.action_dim];
                     step(env, action, self.autoreset, &mut self.rows, row);
                 }
+                Deed::Restore(states) => {
+                    env.clone_from(&states[row]);
+                    write_transition(&mut self.rows, row, 0.0, false, false, false, 0);
+                }
             }
             write_state(env, self.want_expert, &mut self.rows, row);
         }
+    }
+}
+
+/// About the time that a copy takes.
+const COPY: Duration = Duration::from_micros(50);
+
+/// Environments that are copied.
+struct Copying<'a> {
+    envs: &'a [Env],
+    env_ids: &'a [u32],
+    copies: &'a mut [Option<Arc<Env>>],
+}
+
+impl Divisible for Copying<'_> {
+    fn len(&self) -> usize {
+        self.env_ids.len()
+    }
+
+    fn split_at(self, at: usize) -> (Self, Self) {
+        let (ids, later_ids) = self.env_ids.split_at(at);
+        let (copies, later) = self.copies.split_at_mut(at);
+        let part = |env_ids, copies| Self { envs: self.envs, env_ids, copies };
+        (part(ids, copies), part(later_ids, later))
+    }
+
+    fn run(self) {
+        for (copy, id) in self.copies.iter_mut().zip(self.env_ids) {
+            *copy = Some(Arc::new(self.envs[*id as usize].clone()));
+        }
+    }
+}
+
+/// Rebuilds environments from what led to their states. `go_on` is asked now and then whether it is
+/// still worth it; `None` where it was not.
+pub(crate) fn rebuild(
+    mut rebuilds: Vec<Rebuild>,
+    scheduler: &Scheduler,
+    go_on: impl Fn() -> bool,
+) -> Option<Vec<Result<Env, Rejection>>> {
+    let mut cost = Duration::from_micros(100);
+    // All of them by one step at a time, so that they share the threads, also with other sessions.
+    while rebuilds.iter().any(|rebuild| !rebuild.is_done()) {
+        if !go_on() {
+            return None;
+        }
+        scheduler.run(Rebuilding(&mut rebuilds), &mut cost);
+    }
+    Some(rebuilds.into_iter().map(Rebuild::finish).collect())
+}
+
+/// A step of each environment that is being rebuilt.
+struct Rebuilding<'a>(&'a mut [Rebuild]);
+
+impl Divisible for Rebuilding<'_> {
+    fn len(&self) -> usize {
+        self.0.len()
+    }
+
+    fn split_at(self, at: usize) -> (Self, Self) {
+        let (now, later) = self.0.split_at_mut(at);
+        (Self(now), Self(later))
+    }
+
+    fn run(self) {
+        self.0.iter_mut().for_each(Rebuild::step);
     }
 }
 

@@ -16,6 +16,7 @@ use super::lease::{self, Census, Watch};
 use super::ports::{self, ControlPorts, Request};
 use super::scheduler::Scheduler;
 use super::session::{self, SessionHandle};
+use super::store::Ledger;
 use super::{ServeError, ServerConfig, StopSignal};
 use crate::tasks::Registry;
 
@@ -37,6 +38,7 @@ pub(super) fn run(
         ground: Arc::new(session::Ground {
             registry,
             scheduler,
+            ledger: Arc::new(Ledger::new(config.memory_bytes)),
             node: Arc::clone(node),
             epoch,
             idle_limit: config.idle_limit,
@@ -105,11 +107,24 @@ impl Host {
                     session::open(Arc::clone(&self.ground), id, wanted, client, footprint, request);
                 if let Some(handle) = handle {
                     self.sessions.insert(id, handle);
+                    self.tell_the_ledger();
                 }
                 // The session's own thread replies once everything is in place.
                 return;
             }
             Answer::Close { session, node } => self.close(session, node),
+            Answer::Forget { session, node, snapshots } => {
+                let done = self.session_of(session, node).and_then(|one| one.forget(&snapshots));
+                done.map_or_else(ControlReply::Refused, |()| ControlReply::Done)
+            }
+            Answer::Export { session, node, snapshot } => {
+                let bytes = self.session_of(session, node).and_then(|one| one.export(snapshot));
+                bytes.map_or_else(ControlReply::Refused, ControlReply::Exported)
+            }
+            Answer::Import { session, node, bytes } => {
+                let number = self.session_of(session, node).and_then(|one| one.import(&bytes));
+                number.map_or_else(ControlReply::Refused, ControlReply::Imported)
+            }
             Answer::Status => ControlReply::Status(self.status()),
             Answer::Shutdown => {
                 self.stop.set();
@@ -142,13 +157,14 @@ impl Host {
                 self.ending.push(handle);
                 ControlReply::Done
             }
-            _ => ControlReply::Refused(Rejection::new(
-                Code::UnknownSession,
-                "session",
-                session,
-                "this client has no such session",
-            )),
+            _ => ControlReply::Refused(no_session(session)),
         }
+    }
+
+    /// A session of this client.
+    fn session_of(&self, session: u64, node: u128) -> Result<&SessionHandle, Rejection> {
+        let found = self.sessions.get(&session).filter(|handle| handle.client().node == node);
+        found.ok_or_else(|| no_session(session))
     }
 
     /// Closes the sessions of dead clients and removes what they left.
@@ -164,6 +180,7 @@ impl Host {
         });
         self.ending.extend(over.map(|(_, handle)| handle));
         self.ending.extract_if(.., |handle| handle.has_ended()).for_each(SessionHandle::join);
+        self.tell_the_ledger();
         if census.deaths {
             self.ground.node.try_cleanup_dead_nodes();
         }
@@ -182,7 +199,18 @@ impl Host {
     }
 
     fn used(&self) -> Footprint {
+        let Footprint { shared, private } = self.used_by_sessions();
+        Footprint { shared, private: private + self.ground.ledger.snapshots() }
+    }
+
+    fn used_by_sessions(&self) -> Footprint {
         self.sessions.values().chain(&self.ending).map(SessionHandle::footprint).sum()
+    }
+
+    /// Lets sessions know how much is left for their snapshots. One that is taken in just this
+    /// moment may exceed the budget by what the session that is being opened takes.
+    fn tell_the_ledger(&self) {
+        self.ground.ledger.set_sessions(self.used_by_sessions().total());
     }
 
     fn count(&self) -> usize {
@@ -200,4 +228,8 @@ impl Host {
             memory_bytes: self.used().total(),
         }
     }
+}
+
+fn no_session(session: u64) -> Rejection {
+    Rejection::new(Code::UnknownSession, "session", session, "this client has no such session")
 }

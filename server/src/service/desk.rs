@@ -37,6 +37,33 @@ pub enum Answer {
         /// Who asked.
         node: u128,
     },
+    /// Drop snapshots of this session, if it belongs to this client's node.
+    Forget {
+        /// Which session.
+        session: u64,
+        /// Who asked.
+        node: u128,
+        /// Which snapshots.
+        snapshots: Vec<u64>,
+    },
+    /// Give a snapshot of this session as bytes, if it belongs to this client's node.
+    Export {
+        /// Which session.
+        session: u64,
+        /// Who asked.
+        node: u128,
+        /// Which snapshot.
+        snapshot: u64,
+    },
+    /// Bring a snapshot into this session, if it belongs to this client's node.
+    Import {
+        /// Which session.
+        session: u64,
+        /// Who asked.
+        node: u128,
+        /// What is said to be a snapshot.
+        bytes: Vec<u8>,
+    },
     /// Say who is connected.
     Status,
     /// End the server.
@@ -150,6 +177,15 @@ impl Desk {
                 Answer::Open { request, client, footprint }
             }
             ControlRequest::CloseSession { session, node } => Answer::Close { session, node },
+            ControlRequest::DropSnapshots { session, node, snapshots } => {
+                Answer::Forget { session, node, snapshots }
+            }
+            ControlRequest::ExportSnapshot { session, node, snapshot } => {
+                Answer::Export { session, node, snapshot }
+            }
+            ControlRequest::ImportSnapshot { session, node, bytes } => {
+                Answer::Import { session, node, bytes }
+            }
             ControlRequest::Status => Answer::Status,
             ControlRequest::Shutdown => Answer::Shutdown,
         })

@@ -10,6 +10,7 @@
 //! | `batch.rs` | the environments of a session: reset, step, autoreset |
 //! | `ports.rs` | the ends of the transport: how services are made, what a reply is |
 //! | `rows.rs` | the arrays of a reply, row by row |
+//! | `store.rs` | the snapshots of a session, and the memory that they take |
 //! | `scheduler.rs` | turns: which session's environments run on which threads |
 //!
 //! Every session has its own data service, thread and environments, so a slow session never holds
@@ -23,6 +24,7 @@ mod ports;
 mod rows;
 mod scheduler;
 mod session;
+mod store;
 
 use std::io;
 use std::sync::Arc;

@@ -21,6 +21,7 @@ pub(crate) struct Rows<'a> {
     pub(crate) final_achieved_goal: Columns<'a, f32>,
     pub(crate) final_desired_goal: Columns<'a, f32>,
     pub(crate) expert_action: Columns<'a, f32>,
+    pub(crate) snapshot: Columns<'a, u64>,
 }
 
 /// Some rows of one array.
@@ -79,6 +80,7 @@ impl<'a> Rows<'a> {
             final_achieved_goal: columns!(final_achieved_goal),
             final_desired_goal: columns!(final_desired_goal),
             expert_action: columns!(expert_action),
+            snapshot: columns!(snapshot),
         };
         debug_assert!(done + rest.len() == layout.bytes);
         rows
@@ -107,7 +109,8 @@ impl<'a> Rows<'a> {
             final_observation,
             final_achieved_goal,
             final_desired_goal,
-            expert_action
+            expert_action,
+            snapshot
         )
     }
 }

@@ -1,5 +1,6 @@
 //! One thread per session: waits for requests, answers them.
 
+use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::JoinHandle;
@@ -14,12 +15,14 @@ use trocar_proto::endpoint::Node;
 use trocar_proto::wire::{Header, ReplyLayout, RequestLayout, flag, kind};
 use trocar_proto::{Code, Rejection};
 
-use super::batch::{Batch, Deed};
+use super::batch::{self, Batch, Deed};
 use super::desk::{self, Footprint};
 use super::internal;
 use super::ports::{self, DataPorts, Request};
 use super::rows::Rows;
 use super::scheduler::Scheduler;
+use super::store::{Ledger, Saved, Store};
+use crate::env::{Env, Rebuild};
 use crate::tasks::Registry;
 
 /// How long an idle session sleeps before it looks whether it should end.
@@ -33,20 +36,19 @@ const OFFER: Duration = Duration::from_micros(20);
 pub(super) struct Ground {
     pub(super) registry: Arc<Registry>,
     pub(super) scheduler: Scheduler,
+    pub(super) ledger: Arc<Ledger>,
     pub(super) node: Arc<Node>,
     pub(super) epoch: u64,
     pub(super) idle_limit: Duration,
 }
 
 /// A session as the control loop sees it.
-#[derive(Debug)]
 pub(super) struct SessionHandle {
     shared: Arc<Shared>,
     thread: JoinHandle<()>,
     footprint: Footprint,
 }
 
-#[derive(Debug)]
 struct Shared {
     id: u64,
     client: ClientInfo,
@@ -54,6 +56,22 @@ struct Shared {
     envs: u32,
     stop: AtomicBool,
     pace: Mutex<Pace>,
+    /// `None` until the session is open.
+    store: Mutex<Option<Store>>,
+}
+
+impl Shared {
+    /// Does something with the session's snapshots.
+    fn with_store<T>(
+        &self,
+        act: impl FnOnce(&mut Store) -> Result<T, Rejection>,
+    ) -> Result<T, Rejection> {
+        // Whatever panicked has left every snapshot whole: they are put in and taken out as one.
+        let mut store = self.store.lock().unwrap_or_else(PoisonError::into_inner);
+        let opening =
+            || Rejection::new(Code::UnknownSession, "session", self.id, "it is being opened");
+        act(store.as_mut().ok_or_else(opening)?)
+    }
 }
 
 /// How fast a session runs.
@@ -83,6 +101,7 @@ pub(super) fn open(
         envs: wanted.envs,
         stop: AtomicBool::new(false),
         pace: Mutex::new(Pace::new()),
+        store: Mutex::new(None),
     });
     // If the thread cannot be started, the request goes back with it and the client is told.
     let parcel = Arc::new(Mutex::new(Some((wanted, request))));
@@ -119,6 +138,24 @@ impl SessionHandle {
 
     pub(super) fn footprint(&self) -> Footprint {
         self.footprint
+    }
+
+    /// Drops snapshots of the session.
+    pub(super) fn forget(&self, snapshots: &[u64]) -> Result<(), Rejection> {
+        self.shared.with_store(|store| {
+            snapshots.iter().for_each(|number| store.forget(*number));
+            Ok(())
+        })
+    }
+
+    /// A snapshot of the session as bytes.
+    pub(super) fn export(&self, snapshot: u64) -> Result<Vec<u8>, Rejection> {
+        self.shared.with_store(|store| store.export(snapshot))
+    }
+
+    /// Brings a snapshot into the session and gives its number.
+    pub(super) fn import(&self, bytes: &[u8]) -> Result<u64, Rejection> {
+        self.shared.with_store(|store| store.import(bytes))
     }
 
     /// Asks the session to end.
@@ -168,7 +205,7 @@ struct Session {
 struct Inbox {
     env_ids: Vec<u32>,
     actions: Vec<f32>,
-    seeds: Vec<u64>,
+    numbers: Vec<u64>,
 }
 
 impl Session {
@@ -184,13 +221,15 @@ impl Session {
         let reply_layout = ReplyLayout::new(envs, spec);
         let (epoch, id) = (ground.epoch, shared.id);
         let info = SessionInfo { session: id, epoch, envs: wanted.envs, spec: (**spec).clone() };
+        let store = Store::new(Arc::clone(&ground.ledger), batch.like().clone());
+        *shared.store.lock().unwrap_or_else(PoisonError::into_inner) = Some(store);
         let ports = DataPorts::open(&ground.node, epoch, id, reply_layout.bytes)?;
         let session = Self {
             ports,
             inbox: Inbox {
                 env_ids: vec![0; envs],
                 actions: vec![0.0; envs * action_dim],
-                seeds: vec![0; envs],
+                numbers: vec![0; envs],
             },
             ground,
             shared,
@@ -248,9 +287,9 @@ impl Session {
         header.flags = asked.flags;
         let result = self.carry_out(&asked, request.payload(), response.payload_mut());
         let steps = match result {
-            Ok(rows) => {
-                header.rows = rows as u32;
-                rows as u64
+            Ok(moved) => {
+                header.rows = asked.rows;
+                moved
             }
             Err(refusal) => {
                 header.status = refusal.code as u32;
@@ -267,12 +306,13 @@ impl Session {
         steps
     }
 
+    /// Does what is asked and returns the number of environments that it moved on.
     fn carry_out(
         &mut self,
         asked: &Header,
         payload: &[u8],
         reply: &mut [u8],
-    ) -> Result<usize, Rejection> {
+    ) -> Result<u64, Rejection> {
         desk::check_header(asked)?;
         let malformed = |field: &str, value: u64, allowed: String| {
             Rejection::new(Code::Malformed, field, value, allowed)
@@ -294,34 +334,97 @@ impl Session {
             let allowed = format!("expected {} bytes", self.request_layout.bytes);
             return Err(malformed("payload", payload.len() as u64, allowed));
         }
-        let Inbox { env_ids, actions, seeds } = &mut self.inbox;
+        let Inbox { env_ids, actions, numbers } = &mut self.inbox;
         let layout = &self.request_layout;
+        let numbered = asked.kind > kind::STEP
+            || (asked.kind == kind::RESET && asked.flags & flag::HAS_SEEDS != 0);
+        if numbered {
+            numbers[..rows].copy_from_slice(layout.numbers.view(payload, rows));
+        }
+        let numbers = &numbers[..rows];
         env_ids[..rows].copy_from_slice(layout.env_ids.view(payload, rows));
+        let env_ids = &env_ids[..rows];
+        let mut out = Rows::of(&self.reply_layout, reply, rows);
+        let scheduler = &self.ground.scheduler;
+        let states;
         let deed = match asked.kind {
             kind::STEP => {
                 let sent: &[f32] = layout.actions.view(payload, rows);
                 actions[..sent.len()].copy_from_slice(sent);
                 Deed::Step(&actions[..sent.len()])
             }
-            kind::RESET if asked.flags & flag::HAS_SEEDS != 0 => {
-                seeds[..rows].copy_from_slice(layout.seeds.view(payload, rows));
-                Deed::Reset(Some(&seeds[..rows]))
+            kind::RESET => Deed::Reset(numbered.then_some(numbers)),
+            kind::SNAPSHOT => {
+                let mut room = self.shared.with_store(|store| store.make_room(rows))?;
+                let copies = self.batch.copies(env_ids, scheduler)?;
+                self.shared.with_store(|store| {
+                    for (row, copy) in copies.into_iter().enumerate() {
+                        out.snapshot.row(row)[0] = store.put(&mut room, Saved::State(copy));
+                    }
+                    Ok(())
+                })?;
+                return Ok(0);
             }
-            kind::RESET => Deed::Reset(None),
+            kind::RESTORE => {
+                states = saved(&self.shared, &self.batch, numbers, scheduler)?;
+                Deed::Restore(&states)
+            }
+            kind::FORK => {
+                states = self.batch.sources(numbers, scheduler)?;
+                Deed::Restore(&states)
+            }
             other => {
-                let allowed = format!("allowed are {} (reset), {} (step)", kind::RESET, kind::STEP);
+                let (first, last) = (kind::RESET, kind::FORK);
+                let allowed = format!("allowed are {first} (reset) to {last} (fork)");
                 return Err(malformed("header.kind", other.into(), allowed));
             }
         };
         let want_expert = asked.flags & flag::WANT_EXPERT != 0;
-        let out = Rows::of(&self.reply_layout, reply, rows);
-        self.batch.apply(deed, &env_ids[..rows], want_expert, out, &self.ground.scheduler)?;
-        Ok(rows)
+        self.batch.apply(deed, env_ids, want_expert, out, scheduler)?;
+        Ok(if asked.kind <= kind::STEP { rows as u64 } else { 0 })
     }
 
     fn note(&self, start: Instant, steps: u64) {
         self.shared.pace.lock().unwrap_or_else(PoisonError::into_inner).note(start, steps);
     }
+}
+
+/// The states that a session keeps under these numbers; imported ones are rebuilt first.
+fn saved(
+    shared: &Shared,
+    batch: &Batch,
+    numbers: &[u64],
+    scheduler: &Scheduler,
+) -> Result<Vec<Arc<Env>>, Rejection> {
+    let get = || {
+        shared.with_store(|store| {
+            numbers.iter().map(|number| store.get(*number)).collect::<Result<Vec<_>, _>>()
+        })
+    };
+    let mut recipes = BTreeMap::new();
+    for (number, saved) in numbers.iter().zip(get()?) {
+        if let Saved::Recipe(recipe) = saved {
+            recipes.insert(*number, recipe);
+        }
+    }
+    let rebuilds = recipes.values().map(|recipe| Rebuild::new(batch.like(), (**recipe).clone()));
+    let go_on = || !shared.stop.load(Ordering::Acquire);
+    let Some(rebuilt) = batch::rebuild(rebuilds.collect(), scheduler, go_on) else {
+        let why = "the session is being closed";
+        return Err(Rejection::new(Code::UnknownSession, "session", shared.id, why));
+    };
+    for (number, env) in recipes.keys().zip(rebuilt) {
+        let env = Arc::new(env?);
+        shared.with_store(|store| {
+            store.replace(*number, &env);
+            Ok(())
+        })?;
+    }
+    let state = |saved: Saved| match saved {
+        Saved::State(env) => env,
+        Saved::Recipe(_) => unreachable!("every recipe was replaced by its state"),
+    };
+    Ok(get()?.into_iter().map(state).collect())
 }
 
 impl Pace {

@@ -65,11 +65,16 @@
 //!
 //! `reward`, `action`, `observation`, `spawn`, and:
 //!
-//! - `grasp = "interact"`: friction alone.
+//! - `grasp`: `interact`: friction alone; `approx`: a tie between wrist and gauze when jaws close whose
+//!   tip is within `grasp_distance` (0.002 m) of it, through which the fingers then pass; `weld`:
+//!   friction until it is 2.5 mm higher than it lay, then a tie.
+//! - `start`: `approach` (the open jaws are about the pleat), `pick` (they hold it) or `lift` (as high
+//!   as its goal): one of 64 states that the expert made, with a new goal.
 //! - `preset = "surrol"`: positions, goals and tolerance in units of 0.2 m (metres × 5), gauze of
-//!   50 g, gripped with 3 N instead of 1 N, `spawn = "narrow"` unless given.
-//! - `domain`: `observation_noise` (m, on observed positions), `joint_offset` (rad, on every rotary
-//!   joint), `latency` (steps; the arm holds until the first action arrives).
+//!   50 g, gripped with 3 N instead of 1 N, `spawn = "narrow"` and `grasp = "weld"` unless given.
+//! - `domain`: `friction` (coefficient of the jaws), `observation_noise` (m, on observed positions),
+//!   `joint_offset` (rad, on every rotary joint), `latency` (steps; the arm holds until the first
+//!   action arrives).
 //! - `setup`: `base` (x, y, z in m and turn in rad of the arm's base), `table_height` (m). The arm
 //!   must reach the whole workspace.
 //!
@@ -99,8 +104,12 @@ use super::gauze::{self, Gauze};
 use super::objects;
 use super::options::{self, Preset};
 use super::pick::Pick;
-use super::psm_scene::{self, MAX_STEPS, PaperAction, PsmArm, SECONDS_PER_STEP, WORKSPACE};
+use super::psm_scene::{
+    self, MAX_STEPS, PaperAction, PsmArm, SECONDS_PER_STEP, Station, Turn, WORKSPACE,
+};
+use super::start::{self, Start};
 use crate::sim::frames::Pose;
+use crate::sim::grasp::Grasp;
 use crate::sim::instrument::TIP_OFFSET;
 use crate::sim::random::Rng;
 use crate::sim::world::World;
@@ -108,6 +117,10 @@ use crate::sim::world::World;
 /// Height of the tip over the sheet beside the pleat when the jaws close, m: they must not press on
 /// it.
 const GRASP_CLEARANCE: f64 = 0.15e-3;
+
+/// Height above the tray's floor from which a tie may hold the gauze under `grasp = "weld"`, m.
+/// Source: the original, which takes 2.5 mm from where it lay.
+const WELD_LIFT: f64 = 0.0025;
 
 /// Spread of goals under `spawn = "narrow"`, m. Source: the original.
 const GOAL_SPREAD: f64 = 0.02;
@@ -123,6 +136,8 @@ const LOWEST_GOAL: f64 = 0.005;
 pub struct GauzeRetrieve {
     arm: PsmArm,
     gauze: Gauze,
+    grasp: Grasp,
+    start: Start,
     narrow: bool,
     preset: Preset,
     reward: Reward,
@@ -133,15 +148,18 @@ impl Task for GauzeRetrieve {
     const ID: &'static str = "GauzeRetrieve-v0";
 
     fn options() -> Vec<OptionSpec> {
+        let [grasp, grasp_distance] = options::grasp();
         vec![
             options::reward(),
-            options::grasp(),
+            grasp,
+            grasp_distance,
             options::action(),
             options::observation(),
             options::preset(),
             options::spawn(),
-            options::domain(),
-            options::setup(&PsmArm::setup_rows()),
+            start::option(),
+            options::grasp_domain(),
+            options::setup(&PsmArm::setup_rows(1)),
         ]
     }
 
@@ -149,11 +167,15 @@ impl Task for GauzeRetrieve {
         let preset = options::preset_of(options);
         let mut world = gauze::furnished_world(preset);
         let gauze = Gauze::insert(&mut world, preset);
-        let paper = PaperAction { turns: false, jaw: true };
+        let paper = PaperAction { turn: Turn::Nothing, jaw: true };
         let start = [WORKSPACE.min.x, WORKSPACE.max.y, WORKSPACE.centre().z + TIP_OFFSET];
+        let station = Station::psm1(start, gauze::floor());
+        let grasp = Grasp::new(&mut world, options::grasp_of(options), gauze.body());
         let task = Self {
-            arm: PsmArm::insert(&mut world, options, paper, start, gauze::floor())?,
+            arm: PsmArm::insert(&mut world, options, paper, station)?,
             gauze,
+            grasp,
+            start: Start::of(options),
             narrow: options.text("spawn") == Some("narrow"),
             preset,
             reward: options::reward_of(options),
@@ -178,19 +200,29 @@ impl Task for GauzeRetrieve {
         }
     }
 
+    fn begins_prepared(&self) -> bool {
+        self.start != Start::Reset
+    }
+
+    fn prepare(&mut self, world: &mut World, rng: &mut Rng) {
+        start::bring_about(self, world, rng, Self::begin, |task, world| {
+            task.pick(world).progress(&task.arm, world) >= task.start
+        });
+    }
+
     fn reset(&mut self, world: &mut World, rng: &mut Rng) {
-        if self.narrow {
-            self.gauze.lay_near_the_middle(world, rng);
-            self.goal = objects::goal_near_the_middle(GOAL_SPREAD, GOAL_HEIGHT, rng);
+        if self.begins_prepared() {
+            self.goal = self.draw_goal(rng);
         } else {
-            self.gauze.lay_anywhere(world, rng);
-            self.goal = objects::goal_anywhere(gauze::rim() + LOWEST_GOAL, rng);
+            self.begin(world, rng);
         }
-        self.arm.reset(rng);
     }
 
     fn apply(&mut self, world: &mut World, action: Option<&[f32]>) {
-        self.arm.apply(world, action);
+        let gauze = self.gauze.body();
+        psm_scene::step([&mut self.arm], world, &mut self.grasp, action, |world| {
+            world.pose(gauze).translation.z > gauze::floor() + WELD_LIFT
+        });
     }
 
     fn observe(
@@ -210,12 +242,38 @@ impl Task for GauzeRetrieve {
     }
 
     fn expert(&self, world: &World, action: &mut [f32]) {
+        self.pick(world).act(&self.arm, world, action);
+    }
+}
+
+impl GauzeRetrieve {
+    /// Lays the gauze, draws a goal, brings the arm to its start.
+    fn begin(&mut self, world: &mut World, rng: &mut Rng) {
+        if self.narrow {
+            self.gauze.lay_near_the_middle(world, rng);
+        } else {
+            self.gauze.lay_anywhere(world, rng);
+        }
+        self.grasp.reset(world, self.gauze.body());
+        self.goal = self.draw_goal(rng);
+        self.arm.reset(world, rng);
+    }
+
+    fn draw_goal(&self, rng: &mut Rng) -> Vector3<f64> {
+        if self.narrow {
+            objects::goal_near_the_middle(GOAL_SPREAD, GOAL_HEIGHT, rng)
+        } else {
+            objects::goal_anywhere(gauze::rim() + LOWEST_GOAL, rng)
+        }
+    }
+
+    /// What is to be done now.
+    fn pick(&self, world: &World) -> Pick {
         let gauze = world.pose(self.gauze.body());
         let tip = gauze * Pose::translation(0.0, 0.0, Gauze::sheet() + GRASP_CLEARANCE);
         let wrist = tip.translation.vector + Vector3::z() * TIP_OFFSET;
         let grasp = Pose::from_parts(wrist.into(), psm_scene::down());
         let carried = gauze.translation.vector;
-        let pick = Pick { object: self.gauze.body(), grasp, carried, goal: self.goal };
-        pick.act(&self.arm, world, action);
+        Pick { object: self.gauze.body(), grasp, carried, goal: self.goal }
     }
 }

@@ -153,12 +153,17 @@ impl PegBoard {
     /// Stands the blocks on pegs drawn from the sources, at rest, each turned by up to 30° either
     /// way, and draws a block and a target for it.
     pub fn lay_out(&self, world: &mut World, rng: &mut Rng) -> Layout {
-        let target = shuffled(TARGETS, rng)[0];
+        let target = Self::draw_target(rng);
         let sources = shuffled(SOURCES, rng);
         for (block, peg) in self.blocks.iter().zip(sources) {
             block.stand(world, peg, rng.uniform(-YAW, YAW));
         }
         Layout { block: self.blocks[rng.index(self.blocks.len())], target }
+    }
+
+    /// A peg drawn from the targets.
+    pub fn draw_target(rng: &mut Rng) -> usize {
+        TARGETS.start + rng.index(TARGETS.len())
     }
 
     /// Whether a block is on a peg: as the goal's rule has it.

@@ -9,6 +9,7 @@ use nalgebra::Vector3;
 use super::peg_board::{Block, PegBoard};
 use super::pick::{jaws_across, step_towards};
 use super::psm_scene::PsmArm;
+use super::start::Start;
 use crate::sim::frames::Pose;
 use crate::sim::instrument::{FINGER_HALF, JAW_CLOSED, JAW_OPEN, TIP_OFFSET};
 use crate::sim::world::World;
@@ -59,6 +60,19 @@ impl Transfer {
     pub fn act(&self, arm: &PsmArm, world: &World, action: &mut [f32]) {
         let (target, jaw) = self.waypoint(arm, world);
         arm.encode(&step_towards(arm.scene_from_wrist(), &target), jaw, action);
+    }
+
+    /// How far the work is done.
+    pub fn progress(&self, arm: &PsmArm, world: &World) -> Start {
+        let block = world.pose(self.block.body());
+        if arm.holds(world, self.block.body()) {
+            let passes = block.translation.z - Block::half_height() - peg_top();
+            return if passes >= 0.5 * PASS { Start::Lift } else { Start::Pick };
+        }
+        let (grasp, jaw) = self.pick(arm, world);
+        let is_there = distance(&grasp, arm.scene_from_wrist()) < ALIGNED;
+        let closes = jaw < 0.5 * JAW_OPEN;
+        if is_there && closes && arm.opening(world) > OPEN { Start::Approach } else { Start::Reset }
     }
 
     fn waypoint(&self, arm: &PsmArm, world: &World) -> (Pose, f64) {

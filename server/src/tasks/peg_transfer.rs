@@ -64,11 +64,16 @@
 //!
 //! `reward`, `action`, `observation`, and:
 //!
-//! - `grasp = "interact"`: friction alone.
+//! - `grasp`: `interact`: friction alone; `approx`: a tie between wrist and block when jaws close whose
+//!   tip is within `grasp_distance` (0.002 m) of it, through which the fingers then pass; `weld`:
+//!   friction until the block's centre is 10 mm above those of the pegs, then a tie.
+//! - `start`: `approach` (the open jaws are about a wall), `pick` (they hold it) or `lift` (above the
+//!   pegs): one of 64 states that the expert made, with a new target.
 //! - `preset = "surrol"`: positions, goals and tolerances in units of 0.2 m (metres × 5), blocks of
-//!   10 g, gripped with 3 N instead of 1 N.
-//! - `domain`: `observation_noise` (m, on observed positions), `joint_offset` (rad, on every rotary
-//!   joint), `latency` (steps; the arm holds until the first action arrives).
+//!   10 g, gripped with 3 N instead of 1 N, `grasp = "weld"` unless given.
+//! - `domain`: `friction` (coefficient of the jaws), `observation_noise` (m, on observed positions),
+//!   `joint_offset` (rad, on every rotary joint), `latency` (steps; the arm holds until the first
+//!   action arrives).
 //! - `setup`: `base` (x, y, z in m and turn in rad of the arm's base), `table_height` (m). The arm
 //!   must reach the whole workspace.
 //!
@@ -97,8 +102,12 @@ use super::objects;
 use super::options::{self, Preset};
 use super::peg_board::{Layout, PegBoard};
 use super::peg_expert::Transfer;
-use super::psm_scene::{MAX_STEPS, PaperAction, PsmArm, SECONDS_PER_STEP, WORKSPACE};
+use super::psm_scene::{
+    self, MAX_STEPS, PaperAction, PsmArm, SECONDS_PER_STEP, Station, Turn, WORKSPACE,
+};
+use super::start::{self, Start};
 use super::tray;
+use crate::sim::grasp::Grasp;
 use crate::sim::instrument::TIP_OFFSET;
 use crate::sim::random::Rng;
 use crate::sim::world::World;
@@ -109,11 +118,17 @@ const BLOCKS: usize = 4;
 /// The wall of the block that is observed. Source: the original.
 const WALL: usize = 1;
 
+/// Height of the block's centre above that of its target from which a tie may hold it under
+/// `grasp = "weld"`, m. Source: the original.
+const WELD_LIFT: f64 = 0.01;
+
 /// The task; see the module's description.
 #[derive(Debug, Clone)]
 pub struct PegTransfer {
     arm: PsmArm,
     board: PegBoard,
+    grasp: Grasp,
+    start: Start,
     preset: Preset,
     reward: Reward,
     layout: Layout,
@@ -123,14 +138,17 @@ impl Task for PegTransfer {
     const ID: &'static str = "PegTransfer-v0";
 
     fn options() -> Vec<OptionSpec> {
+        let [grasp, grasp_distance] = options::grasp();
         vec![
             options::reward(),
-            options::grasp(),
+            grasp,
+            grasp_distance,
             options::action(),
             options::observation(),
             options::preset(),
-            options::domain(),
-            options::setup(&PsmArm::setup_rows()),
+            start::option(),
+            options::grasp_domain(),
+            options::setup(&PsmArm::setup_rows(1)),
         ]
     }
 
@@ -138,11 +156,16 @@ impl Task for PegTransfer {
         let preset = options::preset_of(options);
         let mut world = tray::bare_table(preset);
         let board = PegBoard::insert(&mut world, preset, BLOCKS);
-        let paper = PaperAction { turns: true, jaw: true };
+        let paper = PaperAction { turn: Turn::Vertical, jaw: true };
         let start = [WORKSPACE.min.x, WORKSPACE.max.y, WORKSPACE.max.z + TIP_OFFSET];
+        let station = Station::psm1(start, PegBoard::top());
+        let layout = Layout { block: board.blocks()[0], target: 0 };
+        let grasp = Grasp::new(&mut world, options::grasp_of(options), layout.block.body());
         let task = Self {
-            arm: PsmArm::insert(&mut world, options, paper, start, PegBoard::top())?,
-            layout: Layout { block: board.blocks()[0], target: 0 },
+            arm: PsmArm::insert(&mut world, options, paper, station)?,
+            layout,
+            grasp,
+            start: Start::of(options),
             board,
             preset,
             reward: options::reward_of(options),
@@ -166,13 +189,30 @@ impl Task for PegTransfer {
         }
     }
 
+    fn begins_prepared(&self) -> bool {
+        self.start != Start::Reset
+    }
+
+    fn prepare(&mut self, world: &mut World, rng: &mut Rng) {
+        start::bring_about(self, world, rng, Self::begin, |task, world| {
+            task.transfer().progress(&task.arm, world) >= task.start
+        });
+    }
+
     fn reset(&mut self, world: &mut World, rng: &mut Rng) {
-        self.layout = self.board.lay_out(world, rng);
-        self.arm.reset(rng);
+        if self.begins_prepared() {
+            self.layout.target = PegBoard::draw_target(rng);
+        } else {
+            self.begin(world, rng);
+        }
     }
 
     fn apply(&mut self, world: &mut World, action: Option<&[f32]>) {
-        self.arm.apply(world, action);
+        let Layout { block, target } = self.layout;
+        let lifted = PegBoard::peg(target).z + WELD_LIFT;
+        psm_scene::step([&mut self.arm], world, &mut self.grasp, action, |world| {
+            world.pose(block.body()).translation.z > lifted
+        });
     }
 
     fn observe(
@@ -193,7 +233,21 @@ impl Task for PegTransfer {
     }
 
     fn expert(&self, world: &World, action: &mut [f32]) {
+        self.transfer().act(&self.arm, world, action);
+    }
+}
+
+impl PegTransfer {
+    /// Sets up the blocks, draws a target, brings the arm to its start.
+    fn begin(&mut self, world: &mut World, rng: &mut Rng) {
+        self.layout = self.board.lay_out(world, rng);
+        self.grasp.reset(world, self.layout.block.body());
+        self.arm.reset(world, rng);
+    }
+
+    /// What is to be done.
+    fn transfer(&self) -> Transfer {
         let Layout { block, target } = self.layout;
-        Transfer { block, target }.act(&self.arm, world, action);
+        Transfer { block, target }
     }
 }

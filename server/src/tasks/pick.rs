@@ -6,6 +6,7 @@
 use nalgebra::{UnitQuaternion, Vector3};
 
 use super::psm_scene::{PsmArm, STEP_ANGLE, STEP_LENGTH, down};
+use super::start::Start;
 use crate::sim::frames::Pose;
 use crate::sim::instrument::{JAW_CLOSED, JAW_OPEN};
 use crate::sim::world::{BodyId, World};
@@ -47,6 +48,18 @@ impl Pick {
     pub fn act(&self, arm: &PsmArm, world: &World, action: &mut [f32]) {
         let (target, jaw) = self.waypoint(arm, world);
         arm.encode(&step_towards(arm.scene_from_wrist(), &target), jaw, action);
+    }
+
+    /// How far the work is done.
+    pub fn progress(&self, arm: &PsmArm, world: &World) -> Start {
+        if arm.holds(world, self.object) {
+            let lifted = self.goal.z - self.carried.z <= LEVEL;
+            if lifted { Start::Lift } else { Start::Pick }
+        } else {
+            let off = arm.scene_from_wrist().translation.vector - self.grasp.translation.vector;
+            let about = off.norm() < ALIGNED + LOW && arm.opening(world) > OPEN;
+            if about { Start::Approach } else { Start::Reset }
+        }
     }
 
     fn waypoint(&self, arm: &PsmArm, world: &World) -> (Pose, f64) {

@@ -6,6 +6,7 @@ use trocar_proto::Options;
 use trocar_proto::control::{
     self, Autoreset, ClientInfo, ControlRequest, MAX_MESSAGE, SessionRequest,
 };
+use trocar_proto::snapshot::Recipe;
 use trocar_proto::spec::OptionValue;
 use trocar_proto::wire::Header;
 
@@ -54,6 +55,16 @@ impl Mutator {
 
     fn below(&mut self, end: usize) -> usize {
         (self.rng.next_u64() % end as u64) as usize
+    }
+
+    /// `bytes` after one to six mutations.
+    #[allow(dead_code, reason = "not every test that has this module needs it")]
+    pub(crate) fn change(&mut self, bytes: &[u8]) -> Vec<u8> {
+        let mut message = Message { header: Header::new(0), bytes: bytes.to_vec() };
+        for _ in 0..=self.below(6) {
+            self.mutate(&mut message);
+        }
+        message.bytes
     }
 
     fn mutate(&mut self, message: &mut Message) {
@@ -136,7 +147,13 @@ fn requests(tasks: &[&str]) -> Vec<ControlRequest> {
         ControlRequest::CloseSession { session: 1, node: client.node },
         ControlRequest::Status,
         ControlRequest::Shutdown,
+        ControlRequest::DropSnapshots { session: 1, node: client.node, snapshots: vec![1, 2] },
+        ControlRequest::ExportSnapshot { session: 1, node: client.node, snapshot: 1 },
     ];
+    requests.extend(tasks.iter().map(|task| {
+        let bytes = recipe(task).to_bytes().expect("it is short");
+        ControlRequest::ImportSnapshot { session: 1, node: client.node, bytes }
+    }));
     for task in tasks {
         let plain = SessionRequest::new(task).envs(3).seed(u64::MAX);
         let mut options = vec![Options::new()];
@@ -149,4 +166,17 @@ fn requests(tasks: &[&str]) -> Vec<ControlRequest> {
         }
     }
     requests
+}
+
+/// What led to the state of an environment that nobody has seen.
+fn recipe(task: &str) -> Recipe {
+    Recipe {
+        version: env!("CARGO_PKG_VERSION").into(),
+        task: task.into(),
+        options: Options::new().with_text("reward", "sparse"),
+        seed: 1,
+        episode: 0,
+        actions: vec![0.5; 30],
+        fingerprint: 0,
+    }
 }

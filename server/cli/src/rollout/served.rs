@@ -5,8 +5,8 @@ use std::collections::BTreeMap;
 use indicatif::ProgressBar;
 use trocar_client::{Autoreset, Client, Reply, SessionRequest};
 
-use super::policy::Actor;
 use super::{Episode, Job};
+use crate::policy::Actor;
 
 /// An episode under way in one environment.
 struct Running {

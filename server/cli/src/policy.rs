@@ -7,7 +7,7 @@ use trocar_server::sim::random::Rng;
 /// Who chooses the actions.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum, Serialize)]
 #[serde(rename_all = "lowercase")]
-pub(super) enum Policy {
+pub(crate) enum Policy {
     /// The task's scripted expert
     Oracle,
     /// Uniformly random in [−1, 1], by the episode's seed
@@ -16,14 +16,14 @@ pub(super) enum Policy {
 
 impl Policy {
     /// The one who acts in the episode of `seed`.
-    pub(super) fn actor(self, seed: u64) -> Actor {
+    pub(crate) fn actor(self, seed: u64) -> Actor {
         // No episode of a task has this number, so its randomness is not used twice.
         let rng = || Rng::new(seed, u64::MAX);
         Actor((self == Self::Random).then(rng))
     }
 
     /// Whether the expert's actions are needed.
-    pub(super) fn asks_expert(self) -> bool {
+    pub(crate) fn asks_expert(self) -> bool {
         self == Self::Oracle
     }
 }
@@ -39,11 +39,11 @@ impl std::fmt::Display for Policy {
 
 /// Who acts in one episode: random numbers, or the expert where there are none.
 #[derive(Debug, Clone)]
-pub(super) struct Actor(Option<Rng>);
+pub(crate) struct Actor(Option<Rng>);
 
 impl Actor {
     /// Writes the next action; `expert` writes what the expert would do now.
-    pub(super) fn act(&mut self, action: &mut [f32], expert: impl FnOnce(&mut [f32])) {
+    pub(crate) fn act(&mut self, action: &mut [f32], expert: impl FnOnce(&mut [f32])) {
         match &mut self.0 {
             Some(rng) => action.fill_with(|| rng.uniform(-1.0, 1.0) as f32),
             None => expert(action),

@@ -1,0 +1,138 @@
+//! Exported states: how one is written down, checked and rebuilt.
+//!
+//! See [`snapshot`] for what the bytes are. A state is rebuilt by going through its episode again.
+
+use super::{Env, RECORDED, Recipe, Rejection, State, snapshot};
+use trocar_proto::Code;
+
+impl Env {
+    /// What led to the present state.
+    pub(crate) fn recipe(&self) -> Result<Recipe, Rejection> {
+        self.check_begun()?;
+        let dim = self.spec.action_dim();
+        if self.taken.len() != self.steps as usize * dim {
+            return Err(Rejection::new(
+                Code::Unsupported,
+                "snapshot",
+                format!("{} steps into the episode", self.steps),
+                format!("a state is exported from the first {} steps on", RECORDED / dim),
+            ));
+        }
+        Ok(Recipe {
+            version: env!("CARGO_PKG_VERSION").into(),
+            task: self.spec.id.clone(),
+            options: (*self.options).clone(),
+            seed: self.seed,
+            episode: self.episode,
+            actions: self.taken.clone(),
+            fingerprint: self.fingerprint(),
+        })
+    }
+
+    /// An error before the first reset: there is no state yet.
+    pub(crate) fn check_begun(&self) -> Result<(), Rejection> {
+        if self.was_reset() {
+            return Ok(());
+        }
+        let why = "it was never reset; reset it before its first snapshot";
+        Err(Rejection::new(Code::ResetNeeded, "env", "no state", why))
+    }
+
+    /// Whether `recipe` is of this task and these options and can have happened.
+    pub(crate) fn check_recipe(&self, recipe: &Recipe) -> Result<(), Rejection> {
+        let refuse = |part: &str, value: String, allowed: String| {
+            Err(Rejection::new(Code::InvalidSnapshot, format!("snapshot.{part}"), value, allowed))
+        };
+        if recipe.version != env!("CARGO_PKG_VERSION") {
+            let allowed = format!("this is release {}", env!("CARGO_PKG_VERSION"));
+            return refuse("version", format!("{:?}", recipe.version), allowed);
+        }
+        if recipe.task != self.spec.id {
+            let allowed = format!("expected {:?}, as the environments here", self.spec.id);
+            return refuse("task", format!("{:?}", recipe.task), allowed);
+        }
+        for (name, value) in &self.options.0 {
+            let found = recipe.options.0.get(name);
+            if found != Some(value) {
+                let found = found.map_or("not given".into(), |found| format!("{found:?}"));
+                let allowed = format!("expected {value:?}, as the environments here");
+                return refuse(&format!("options.{name}"), found, allowed);
+            }
+        }
+        if let Some(name) = recipe.options.0.keys().find(|name| !self.options.0.contains_key(*name))
+        {
+            return refuse("options", format!("{name:?}"), "the task has no such option".into());
+        }
+        let (dim, count) = (self.spec.action_dim(), recipe.actions.len());
+        let most = self.spec.max_steps as usize;
+        if !count.is_multiple_of(dim) || count / dim > most {
+            let allowed = format!("allowed are {dim} numbers for each of at most {most} steps");
+            return refuse("actions", format!("{count} numbers"), allowed);
+        }
+        if let Some(number) = recipe.actions.iter().find(|number| !(-1.0..=1.0).contains(*number)) {
+            return refuse("actions", number.to_string(), "allowed are numbers in [-1, 1]".into());
+        }
+        Ok(())
+    }
+
+    /// A number that stands for every bit of what is seen and of what the objects do.
+    fn fingerprint(&self) -> u64 {
+        let seen = self.observation.iter().chain(&self.achieved).chain(&self.desired);
+        let words = seen.map(|number| number.to_bits()).chain(self.world.bits());
+        let words = words.chain([self.steps, u32::from(self.state == State::Over)]);
+        snapshot::fingerprint(words.flat_map(u32::to_le_bytes))
+    }
+}
+
+/// An environment on its way back to an exported state, step by step.
+#[derive(Clone)]
+pub(crate) struct Rebuild {
+    env: Env,
+    recipe: Recipe,
+    /// Numbers of actions that were carried out.
+    done: usize,
+    failed: bool,
+}
+
+impl Rebuild {
+    /// Begins the episode of a recipe that [`Env::check_recipe`] of `like` found to be good.
+    pub(crate) fn new(like: &Env, recipe: Recipe) -> Self {
+        let mut env = like.clone();
+        (env.seed, env.episode) = (recipe.seed, recipe.episode);
+        env.begin();
+        Self { env, recipe, done: 0, failed: false }
+    }
+
+    /// Whether no step is left.
+    pub(crate) fn is_done(&self) -> bool {
+        self.failed || self.done == self.recipe.actions.len()
+    }
+
+    /// Carries out the next step, if one is left.
+    pub(crate) fn step(&mut self) {
+        if self.is_done() {
+            return;
+        }
+        let end = self.done + self.env.spec.action_dim();
+        // A failure of the simulation is a state like another; steps after it are not.
+        self.failed = self.env.needs_reset();
+        self.env.step(&self.recipe.actions[self.done..end]).ok();
+        self.done = end;
+    }
+
+    /// The environment, if its state is the one that was exported.
+    pub(crate) fn finish(self) -> Result<Env, Rejection> {
+        let found = self.env.fingerprint();
+        if !self.failed && found == self.recipe.fingerprint {
+            return Ok(self.env);
+        }
+        Err(Rejection::new(
+            Code::InvalidSnapshot,
+            "snapshot.fingerprint",
+            format!("{:016x}", self.recipe.fingerprint),
+            format!(
+                "its actions lead to {found:016x} here; it was changed, or another build wrote it"
+            ),
+        ))
+    }
+}

@@ -1,0 +1,209 @@
+//! The snapshots of a session, and the memory that all snapshots of a server may take.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+
+use trocar_proto::snapshot::Recipe;
+use trocar_proto::{Code, Rejection};
+
+use crate::env::Env;
+
+/// Memory of a server that sessions and snapshots share, bytes.
+#[derive(Debug)]
+pub(super) struct Ledger {
+    budget: u64,
+    /// What open sessions are counted with.
+    sessions: AtomicU64,
+    /// What their snapshots are counted with.
+    snapshots: AtomicU64,
+    /// Numbers that were given to snapshots: no two of a server have the same.
+    numbers: AtomicU64,
+}
+
+impl Ledger {
+    pub(super) fn new(budget: u64) -> Self {
+        let zero = || AtomicU64::new(0);
+        Self { budget, sessions: zero(), snapshots: zero(), numbers: zero() }
+    }
+
+    /// Takes note of what sessions are counted with.
+    pub(super) fn set_sessions(&self, bytes: u64) {
+        self.sessions.store(bytes, Ordering::Relaxed);
+    }
+
+    /// What snapshots are counted with.
+    pub(super) fn snapshots(&self) -> u64 {
+        self.snapshots.load(Ordering::Relaxed)
+    }
+
+    /// Counts `count` more snapshots, unless the budget forbids it.
+    fn take(&self, count: usize) -> Result<(), Rejection> {
+        let needed = count as u64 * Env::MEMORY_BYTES;
+        let sessions = self.sessions.load(Ordering::Relaxed);
+        let fits = |snapshots: u64| {
+            Some(snapshots + needed).filter(|snapshots| sessions + snapshots <= self.budget)
+        };
+        let taken = self.snapshots.fetch_update(Ordering::Relaxed, Ordering::Relaxed, fits);
+        taken.map(|_| ()).map_err(|snapshots| {
+            let mebibytes = |bytes: u64| format!("{:.1} MiB", bytes as f64 / f64::from(1 << 20));
+            Rejection::new(
+                Code::MemoryBudget,
+                "snapshots",
+                count,
+                format!(
+                    "they need {}, and {} of {} are taken; drop some (or serve --memory)",
+                    mebibytes(needed),
+                    mebibytes(sessions + snapshots),
+                    mebibytes(self.budget)
+                ),
+            )
+        })
+    }
+
+    fn give_back(&self, count: usize) {
+        self.snapshots.fetch_sub(count as u64 * Env::MEMORY_BYTES, Ordering::Relaxed);
+    }
+}
+
+/// One environment's snapshot.
+#[derive(Clone)]
+pub(super) enum Saved {
+    /// A state to go on from.
+    State(Arc<Env>),
+    /// An imported one, which was checked and not needed yet.
+    Recipe(Arc<Recipe>),
+}
+
+/// The snapshots of one session; they end with it.
+pub(super) struct Store {
+    ledger: Arc<Ledger>,
+    /// An environment of the session's task and options.
+    like: Env,
+    saved: BTreeMap<u64, Saved>,
+}
+
+impl Store {
+    pub(super) fn new(ledger: Arc<Ledger>, like: Env) -> Self {
+        Self { ledger, like, saved: BTreeMap::new() }
+    }
+
+    /// Makes room for `count` snapshots, which [`Self::put`] then fills.
+    pub(super) fn make_room(&self, count: usize) -> Result<Room, Rejection> {
+        self.ledger.take(count)?;
+        Ok(Room { ledger: Arc::clone(&self.ledger), left: count })
+    }
+
+    /// Keeps a snapshot, and gives the number under which.
+    pub(super) fn put(&mut self, room: &mut Room, saved: Saved) -> u64 {
+        debug_assert!(room.left > 0);
+        room.left -= 1;
+        let number = self.ledger.numbers.fetch_add(1, Ordering::Relaxed) + 1;
+        self.saved.insert(number, saved);
+        number
+    }
+
+    /// Has the state that a recipe leads to in place of the recipe.
+    pub(super) fn replace(&mut self, number: u64, state: &Arc<Env>) {
+        if let Some(saved) = self.saved.get_mut(&number) {
+            *saved = Saved::State(Arc::clone(state));
+        }
+    }
+
+    pub(super) fn get(&self, number: u64) -> Result<Saved, Rejection> {
+        self.saved.get(&number).cloned().ok_or_else(|| {
+            let allowed = format!(
+                "this session has {} snapshots, and none of that number; export and import it to \
+                 bring it from another session",
+                self.saved.len()
+            );
+            Rejection::new(Code::UnknownSnapshot, "snapshot", number, allowed)
+        })
+    }
+
+    /// Drops a snapshot, if it is there.
+    pub(super) fn forget(&mut self, number: u64) {
+        if self.saved.remove(&number).is_some() {
+            self.ledger.give_back(1);
+        }
+    }
+
+    /// A snapshot as bytes.
+    pub(super) fn export(&self, number: u64) -> Result<Vec<u8>, Rejection> {
+        match self.get(number)? {
+            Saved::State(env) => env.export(),
+            Saved::Recipe(recipe) => recipe.to_bytes(),
+        }
+    }
+
+    /// Keeps the snapshot that `bytes` tell of, which may be anything. Its state is rebuilt when it
+    /// is restored for the first time.
+    pub(super) fn import(&mut self, bytes: &[u8]) -> Result<u64, Rejection> {
+        let recipe = Recipe::from_bytes(bytes)?;
+        self.like.check_recipe(&recipe)?;
+        let mut room = self.make_room(1)?;
+        Ok(self.put(&mut room, Saved::Recipe(Arc::new(recipe))))
+    }
+}
+
+impl Drop for Store {
+    fn drop(&mut self) {
+        self.ledger.give_back(self.saved.len());
+    }
+}
+
+/// Room for snapshots; what is not filled is given back.
+pub(super) struct Room {
+    ledger: Arc<Ledger>,
+    left: usize,
+}
+
+impl Drop for Room {
+    fn drop(&mut self) {
+        self.ledger.give_back(self.left);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use trocar_proto::Options;
+
+    use super::*;
+    use crate::tasks::Registry;
+
+    fn store(ledger: &Arc<Ledger>) -> (Store, Arc<Env>) {
+        let mut env = Registry::builtin().make("EcmReach-v0", &Options::new()).unwrap();
+        env.reset(Some(1));
+        (Store::new(Arc::clone(ledger), env.clone()), Arc::new(env))
+    }
+
+    #[test]
+    fn snapshots_are_counted_until_they_are_gone() {
+        let ledger = Arc::new(Ledger::new(3 * Env::MEMORY_BYTES));
+        let (mut store, env) = store(&ledger);
+        let mut room = store.make_room(2).unwrap();
+        let number = store.put(&mut room, Saved::State(Arc::clone(&env)));
+        drop(room); // one of two was not filled
+        assert_eq!(ledger.snapshots(), Env::MEMORY_BYTES);
+        ledger.set_sessions(Env::MEMORY_BYTES);
+        let refusal = store.make_room(2).err().unwrap();
+        assert_eq!((refusal.code, refusal.field.as_str()), (Code::MemoryBudget, "snapshots"));
+        assert!(store.import(&env.export().unwrap()).is_ok());
+        store.forget(number);
+        store.forget(number);
+        assert_eq!(ledger.snapshots(), Env::MEMORY_BYTES);
+        drop(store);
+        assert_eq!(ledger.snapshots(), 0);
+    }
+
+    #[test]
+    fn no_two_sessions_have_a_number_in_common() {
+        let ledger = Arc::new(Ledger::new(1 << 30));
+        let (mut one, env) = store(&ledger);
+        let (mut two, _) = store(&ledger);
+        let first = one.import(&env.export().unwrap()).unwrap();
+        let second = two.import(&env.export().unwrap()).unwrap();
+        assert_ne!(first, second);
+        assert_eq!(one.get(second).err().unwrap().code, Code::UnknownSnapshot);
+    }
+}
