@@ -65,6 +65,18 @@ fn zeros(envs: &dyn Envs, count: usize) -> Vec<f32> {
     vec![0.0; count * envs.spec().action_dim()]
 }
 
+impl Row {
+    /// What tells one episode's beginning from another's.
+    fn start(&self) -> (&[u32], &[u32]) {
+        (&self.observation, &self.desired)
+    }
+
+    /// The scripted expert's action.
+    fn experts(&self) -> Vec<f32> {
+        self.expert.iter().map(|bits| f32::from_bits(*bits)).collect()
+    }
+}
+
 #[test]
 fn a_session_has_the_specification_of_the_task() {
     let server = Server::start();

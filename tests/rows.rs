@@ -24,16 +24,6 @@ pub(crate) struct Row {
 }
 
 impl Row {
-    /// What tells one episode's beginning from another's.
-    pub(crate) fn start(&self) -> (&[u32], &[u32]) {
-        (&self.observation, &self.desired)
-    }
-
-    /// The scripted expert's action.
-    pub(crate) fn experts(&self) -> Vec<f32> {
-        self.expert.iter().map(|bits| f32::from_bits(*bits)).collect()
-    }
-
     /// Every row of a reply to a session that wants the expert.
     pub(crate) fn all(reply: &Reply, autoreset: Autoreset) -> Vec<Self> {
         (0..reply.rows()).map(|row| Self::of(reply, row, autoreset)).collect()

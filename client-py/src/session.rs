@@ -165,9 +165,9 @@ impl Session {
     }
 
     /// Brings an exported snapshot into this session.
-    fn import_snapshot(&self, py: Python<'_>, data: Vec<u8>) -> PyResult<Snapshot> {
+    fn import_snapshot(&self, py: Python<'_>, data: &[u8]) -> PyResult<Snapshot> {
         self.with(py, |session| {
-            py.detach(|| session.import(&data)).map_err(|error| error::call(py, error))
+            py.detach(|| session.import(data)).map_err(|error| error::call(py, error))
         })
         .map(Snapshot::new)
     }

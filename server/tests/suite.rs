@@ -93,22 +93,24 @@ fn make((id, options): &(String, Options)) -> Env {
 /// Whether the task's documentation says that an element never changes under these options.
 fn documented_as_constant((id, options): &(String, Options), element: &Element) -> bool {
     let paper = options.text("action").is_none_or(|mode| mode == "paper");
+    // Fingers pass through an object that a tie will hold, which is carried as it lay.
+    let tied = options.text("grasp") == Some("approx");
+    let objects = ["mid arc", "crest", "wall 1"];
+    let is_tilt = objects.iter().any(|object| {
+        ["roll", "pitch"].iter().any(|angle| element.name == format!("{object} {angle}"))
+    });
     match id.as_str() {
         "NeedleReach-v0" => {
             element.name == "jaw" || (paper && element.name.starts_with("wrist link"))
         }
-        "NeedlePick-v0" => {
-            let tied = options.text("grasp") == Some("approx");
+        "NeedlePick-v0" | "PegTransfer-v0" => {
             let name = element.name.as_str();
             let of_wrist = ["wrist link roll", "wrist link pitch"].contains(&name);
-            // Fingers pass through the needle, which is carried as it lay.
-            let of_needle = tied && ["mid arc roll", "mid arc pitch"].contains(&name);
-            paper && (of_wrist || of_needle)
+            paper && (of_wrist || (tied && is_tilt))
         }
-        "PegTransfer-v0" => {
-            paper && ["wrist link roll", "wrist link pitch"].contains(&element.name.as_str())
+        "GauzeRetrieve-v0" => {
+            paper && (element.name.starts_with("wrist link") || (tied && is_tilt))
         }
-        "GauzeRetrieve-v0" => paper && element.name.starts_with("wrist link"),
         "EcmReach-v0" => paper && element.name == "camera yaw",
         "StaticTrack-v0" => element.name == "target in view",
         _ => false,

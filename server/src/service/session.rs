@@ -143,7 +143,9 @@ impl SessionHandle {
     /// Drops snapshots of the session.
     pub(super) fn forget(&self, snapshots: &[u64]) -> Result<(), Rejection> {
         self.shared.with_store(|store| {
-            snapshots.iter().for_each(|number| store.forget(*number));
+            for number in snapshots {
+                store.forget(*number);
+            }
             Ok(())
         })
     }

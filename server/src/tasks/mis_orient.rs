@@ -93,8 +93,14 @@ use crate::sim::world::{Solver, World};
 const MAX_STEPS: u32 = 50;
 
 /// Joints at the start, rad; index 2 in m: smallest and largest. Source: the original.
-const START: [[f64; 2]; 4] =
-    [[-0.785_398, 0.785_398], [-0.392_699, 0.579_449], [0.0, 0.24], [-0.785_398, 0.785_398]];
+const START: [[f64; 2]; 4] = [
+    [-45.0 * DEGREE, 45.0 * DEGREE],
+    [-22.5 * DEGREE, 33.2 * DEGREE],
+    [0.0, 0.24],
+    [-45.0 * DEGREE, 45.0 * DEGREE],
+];
+
+const DEGREE: f64 = std::f64::consts::PI / 180.0;
 
 /// Misorientation below which the picture counts as aligned, rad. Source: the paper.
 const TOLERANCE: f32 = 0.01;

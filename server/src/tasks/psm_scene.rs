@@ -722,7 +722,7 @@ mod tests {
 
     #[test]
     fn the_pitch_turns_jaws_about_themselves_within_a_quarter_turn() {
-        for index in 0..2 {
+        for (index, [roll, yaw]) in PITCHED.into_iter().enumerate() {
             let (mut world, mut arm) = pitching_arm(index, 0.0);
             let along = arm.scene_from_wrist().rotation * Vector3::z();
             assert!((along - Vector3::x()).norm() < 1e-12, "{along}");
@@ -730,7 +730,7 @@ mod tests {
             for (turn, pitch) in [(1.0, 15.0), (0.4, 21.0), (-1.0, 6.0)] {
                 arm.apply(&mut world, Some(&[0.0, 0.0, 0.0, turn, -1.0]));
                 arm.observe(&world, &mut seen);
-                let expected = [PITCHED[index][0], pitch * DEGREE, PITCHED[index][1]];
+                let expected = [roll, pitch * DEGREE, yaw];
                 for (found, expected) in seen[3..6].iter().zip(expected) {
                     assert!((f64::from(*found) - expected).abs() < 1e-6, "{seen:?}");
                 }

@@ -84,21 +84,24 @@ pub fn bring_about<T: Task>(
     tracing::warn!(task = T::ID, "the expert failed to prepare a start; it is as far as it came");
 }
 
+/// A task in its world, where episodes begin.
+type State = (Box<dyn AnyTask>, World);
+
 /// The states in which episodes begin.
 pub(crate) struct Starts {
     task: Box<dyn AnyTask>,
     world: World,
-    states: [OnceLock<(Box<dyn AnyTask>, World)>; COUNT],
+    states: Box<[OnceLock<State>]>,
 }
 
 impl Starts {
     /// The states of `task` in `world`; none is made yet.
     pub(crate) fn new(task: Box<dyn AnyTask>, world: World) -> Self {
-        Self { task, world, states: [const { OnceLock::new() }; COUNT] }
+        Self { task, world, states: (0..COUNT).map(|_| OnceLock::new()).collect() }
     }
 
     /// One of the states.
-    pub(crate) fn draw(&self, rng: &mut Rng) -> &(Box<dyn AnyTask>, World) {
+    pub(crate) fn draw(&self, rng: &mut Rng) -> &State {
         let index = rng.index(COUNT);
         self.states[index].get_or_init(|| {
             let (mut task, mut world) = (self.task.clone(), self.world.clone());
