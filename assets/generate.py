@@ -13,7 +13,7 @@ import argparse
 import sys
 from pathlib import Path
 
-from modelling import ecm, psm, scene
+from modelling import cube, ecm, gauze, peg_transfer, psm, scene
 
 ASSETS = Path(__file__).resolve().parent
 
@@ -27,8 +27,12 @@ def generate() -> dict[str, str]:
         classic = ecm.model(ecm.CLASSIC, urdf_name)
         files |= classic.files(urdf_name)
         files |= ecm.model(ecm.SI, urdf_name, classic).files(urdf_name)
-    for model in (scene.needle(), scene.pad(), scene.tray(), scene.table()):
+    objects = [scene.needle(), gauze.gauze(), peg_transfer.block()]
+    furniture = [scene.pad(), scene.tray(), scene.table(), peg_transfer.pegboard()]
+    for model in objects + furniture:
         files |= model.files()
+    for urdf_name in cube.EDGES:
+        files |= cube.cube(urdf_name).files(urdf_name)
     return files
 
 

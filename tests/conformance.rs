@@ -5,7 +5,7 @@ use trocar_proto::TaskSpec;
 use trocar_server::Registry;
 
 use crate::harness::Server;
-use crate::rows::{Policy, Row, act, policies};
+use crate::rows::{Row, act, policies};
 use crate::twin::Twin;
 
 /// N environments of one task, however they are run.
@@ -65,6 +65,18 @@ fn zeros(envs: &dyn Envs, count: usize) -> Vec<f32> {
     vec![0.0; count * envs.spec().action_dim()]
 }
 
+impl Row {
+    /// What tells one episode's beginning from another's.
+    fn start(&self) -> (&[u32], &[u32]) {
+        (&self.observation, &self.desired)
+    }
+
+    /// The scripted expert's action.
+    fn experts(&self) -> Vec<f32> {
+        self.expert.iter().map(|bits| f32::from_bits(*bits)).collect()
+    }
+}
+
 #[test]
 fn a_session_has_the_specification_of_the_task() {
     let server = Server::start();
@@ -72,8 +84,8 @@ fn a_session_has_the_specification_of_the_task() {
     let registry = Registry::builtin();
     assert_eq!(client.tasks().unwrap(), registry.ids().collect::<Vec<_>>());
     for task in registry.ids() {
-        for reward in ["sparse", "dense"] {
-            let options = Options::new().with_text("reward", reward);
+        for mode in ["paper", "joint"] {
+            let options = Options::new().with_text("action", mode);
             let expected = registry.spec(task, &options).unwrap();
             assert_eq!(client.describe(task, &options).unwrap(), expected);
             let request = SessionRequest::new(task).options(options);
@@ -91,7 +103,7 @@ fn a_reset_begins_an_episode() {
             assert_eq!(row.reward, 0);
             assert!(!row.terminated && !row.truncated && !row.is_success);
         }
-        assert_ne!(rows[0].desired, rows[1].desired);
+        assert_ne!(rows[0].start(), rows[1].start());
     });
 }
 
@@ -102,7 +114,7 @@ fn seeds_and_episodes_decide_the_start() {
         let second = envs.reset(&[0, 1], None);
         assert_eq!([second[0].seed, second[1].seed], [7, 9]);
         assert_eq!([second[0].episode, second[1].episode], [1, 1]);
-        assert_ne!(first[0].desired, second[0].desired);
+        assert_ne!(first[0].start(), second[0].start());
         // Which environment it is does not matter, only its seed.
         let swapped = envs.reset(&[0, 1], Some(&[9, 7]));
         assert_eq!(swapped, [first[1].clone(), first[0].clone()]);
@@ -130,14 +142,35 @@ fn episodes_end_at_the_time_limit() {
     on_both(1, Autoreset::Disabled, |envs| {
         let limit = envs.spec().max_steps;
         envs.reset(&[0], None);
-        let mut policy = Policy::new(5);
         let mut row = envs.step(&[0], &zeros(envs, 1)).unwrap().remove(0);
         for step in 2..=limit {
             assert!(!row.truncated && !row.terminated);
-            row = envs.step(&[0], &policy.act(&row)).unwrap().remove(0);
+            row = envs.step(&[0], &row.experts()).unwrap().remove(0);
             assert_eq!(row.steps, step);
         }
-        assert!(row.truncated);
+        assert!(row.truncated && !row.terminated);
+    });
+}
+
+#[test]
+fn a_terminal_state_ends_an_episode_before_its_time_limit() {
+    on_both(1, Autoreset::SameStep, |envs| {
+        if envs.spec().goal.is_some() {
+            return; // such tasks have none
+        }
+        let mut row = envs.reset(&[0], None).remove(0);
+        let mut steps = 0;
+        while !row.terminated {
+            assert!(!row.truncated && !row.is_success && row.last.is_none());
+            assert!(steps < envs.spec().max_steps, "an endoscope that rests loses its target");
+            row = envs.step(&[0], &zeros(envs, 1)).unwrap().remove(0);
+            steps += 1;
+        }
+        assert!(!row.truncated);
+        assert_eq!((row.steps, row.episode), (0, 1));
+        let [observation, achieved, desired] = row.last.as_ref().unwrap();
+        assert_ne!(observation, &row.observation);
+        assert!(achieved.is_empty() && desired.is_empty());
     });
 }
 
@@ -159,9 +192,8 @@ fn a_step_before_the_first_reset_is_refused_in_every_mode() {
 /// Steps until an episode has ended; returns the last row of it.
 fn play_out(envs: &mut dyn Envs) -> Row {
     let mut row = envs.reset(&[0], None).remove(0);
-    let mut policy = Policy::new(1);
     while !row.truncated && !row.terminated {
-        row = envs.step(&[0], &policy.act(&row)).unwrap().remove(0);
+        row = envs.step(&[0], &row.experts()).unwrap().remove(0);
     }
     row
 }
@@ -198,7 +230,7 @@ fn same_step_autoreset_shows_both_ends() {
         assert_eq!((last.steps, last.episode), (0, 1));
         let [observation, achieved, _] = last.last.as_ref().unwrap();
         assert_ne!(observation, &last.observation);
-        assert_ne!(achieved, &last.achieved);
+        assert!(achieved != &last.achieved || achieved.is_empty());
         assert_eq!(envs.step(&[0], &zeros(envs, 1)).unwrap()[0].steps, 1);
     });
 }
@@ -208,11 +240,11 @@ fn the_expert_ends_its_episodes_in_success() {
     on_both(2, Autoreset::Disabled, |envs| {
         let mut rows = envs.reset(&[0, 1], None);
         while !rows[0].truncated {
-            let actions: Vec<f32> =
-                rows.iter().flat_map(|row| &row.expert).map(|bits| f32::from_bits(*bits)).collect();
+            let actions: Vec<f32> = rows.iter().flat_map(Row::experts).collect();
             rows = envs.step(&[0, 1], &actions).unwrap();
         }
-        assert!(rows.iter().all(|row| row.is_success));
+        let has_goal = envs.spec().goal.is_some();
+        assert!(rows.iter().all(|row| row.is_success == has_goal));
     });
 }
 

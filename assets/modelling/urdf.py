@@ -2,28 +2,35 @@
 
 from __future__ import annotations
 
+import csv
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from pathlib import Path
 
 from .mesh import Mesh
 
 HALF_PI = math.pi / 2
 
-# name: (rgba, density in kg/m³). Shafts and housings are hollow: theirs are mean densities.
-MATERIALS = {
-    "steel": ("0.78 0.79 0.81 1", 7850.0),
-    "carbide": ("0.60 0.60 0.62 1", 7850.0),
-    "graphite": ("0.16 0.17 0.19 1", 1900.0),
-    "shell": ("0.93 0.93 0.92 1", 900.0),
-    "joint": ("0.36 0.38 0.41 1", 1800.0),
-    "accent": ("0.16 0.42 0.66 1", 1200.0),
-    "glass": ("0.10 0.14 0.22 1", 2500.0),
-    "light": ("0.98 0.96 0.86 1", 2500.0),
-    "silicone": ("0.93 0.72 0.64 1", 1100.0),
-    "tray": ("0.87 0.89 0.90 1", 1200.0),
-    "table": ("0.62 0.72 0.76 1", 700.0),
-}
+@dataclass
+class Material:
+    """What something is made of: colour, and density in kg/m³."""
+
+    rgba: str
+    density: float
+
+
+def read_materials() -> dict[str, Material]:
+    """The table of materials, which the server reads too."""
+    with (Path(__file__).resolve().parents[1] / "materials.csv").open(encoding="utf-8") as table:
+        rows = list(csv.reader(table))[1:]
+    return {
+        name: Material(f"{red} {green} {blue} 1", float(density))
+        for name, red, green, blue, density, *_ in rows
+    }
+
+
+MATERIALS = read_materials()
 
 
 @dataclass
@@ -120,9 +127,9 @@ class Model:
         lines = ['<?xml version="1.0"?>', "<!-- Made by assets/generate.py. Units: m, rad, kg. -->"]
         lines += [f"<!-- {self.comment} -->"] if self.comment else []
         lines.append(f'<robot name="{self.name}">')
-        for name, (rgba, _) in MATERIALS.items():
+        for name, material in MATERIALS.items():
             if name in used:
-                lines.append(f'  <material name="{name}"><color rgba="{rgba}"/></material>')
+                lines.append(f'  <material name="{name}"><color rgba="{material.rgba}"/></material>')
         for link in self.links:
             lines += link_lines(link, self.mesh_path)
         for joint in self.joints:
@@ -142,7 +149,7 @@ def link_lines(link: Link, mesh_path: Callable[[Visual], str]) -> list[str]:
         lines.append(f'      <geometry><mesh filename="{mesh_path(visual)}"/></geometry>')
         lines.append(
             f'      <material name="{visual.material}"><color rgba="'
-            f'{MATERIALS[visual.material][0]}"/></material>'
+            f'{MATERIALS[visual.material].rgba}"/></material>'
         )
         lines.append("    </visual>")
     for collision in link.collisions:
@@ -159,7 +166,7 @@ def inertial_lines(link: Link) -> list[str]:
     second = [[0.0] * 3 for _ in range(3)]
     for visual in link.visuals:
         assert visual.origin in ("", FLIPPED), "inertia handles the half turn about y only"
-        m, centre, moments = visual.mesh.mass_properties(MATERIALS[visual.material][1])
+        m, centre, moments = visual.mesh.mass_properties(MATERIALS[visual.material].density)
         sign = (-1, 1, -1) if visual.origin == FLIPPED else (1, 1, 1)
         mass += m
         for i in range(3):

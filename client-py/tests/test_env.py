@@ -9,6 +9,7 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 import pytest
+from conftest import WITHOUT_GOALS
 from gymnasium.utils.env_checker import check_env
 from numpy.typing import NDArray
 
@@ -21,6 +22,11 @@ def make(task: str, server: str, **options: Any) -> trocar.TrocarEnv:
     env = gym.make(f"trocar/{task}", server=server, **options).unwrapped
     assert isinstance(env, trocar.TrocarEnv)
     return env
+
+
+def state(observation: Any) -> Any:
+    """The state in an observation, which is all of it for a task without goals."""
+    return observation["observation"] if isinstance(observation, dict) else observation
 
 
 def constant(env: trocar.TrocarEnv | trocar.TrocarVectorEnv, value: float) -> NDArray[np.float32]:
@@ -65,28 +71,31 @@ def test_registered_episode_length_is_the_servers(task: str, server: str) -> Non
 
 
 def test_time_limit_of_gymnasium_and_server_agree(task: str, server: str) -> None:
-    wrapped, bare = gym.make(f"trocar/{task}", server=server), make(task, server)
+    wrapped, bare = gym.make(f"trocar/{task}", server=server), make(task, server, expert=True)
     for env in (wrapped, bare):
         env.reset(seed=0)
-    action = constant(bare, 0)
     for step in range(1, TASKS[task] + 1):
-        truncated = [env.step(action)[3] for env in (wrapped, bare)]
-        assert truncated == [step == TASKS[task]] * 2
+        action = bare.expert_action()
+        ends = [env.step(action)[2:4] for env in (wrapped, bare)]
+        assert ends == [(False, step == TASKS[task])] * 2
     for env in (wrapped, bare):
         env.close()
 
 
 def test_spaces_are_finite_and_hold_what_is_returned(task: str, server: str) -> None:
     env = make(task, server)
-    assert isinstance(env.observation_space, gym.spaces.Dict)
-    for box in (env.action_space, *env.observation_space.values()):
+    space = env.observation_space
+    assert isinstance(space, gym.spaces.Box if task in WITHOUT_GOALS else gym.spaces.Dict)
+    boxes = space.values() if isinstance(space, gym.spaces.Dict) else [space]
+    for box in (env.action_space, *boxes):
         assert isinstance(box, gym.spaces.Box)
         assert np.isfinite(box.low).all()
         assert np.isfinite(box.high).all()
     for values in trajectory(env):
         observation = values[0]
         assert observation in env.observation_space
-        assert all(array.dtype == np.float32 for array in observation.values())
+        arrays = observation.values() if isinstance(observation, dict) else [observation]
+        assert all(array.dtype == np.float32 for array in arrays)
     env.close()
 
 
@@ -130,13 +139,43 @@ def test_expert_changes_nothing_but_the_info(task: str, server: str) -> None:
     expert.close()
 
 
-def test_following_the_expert_succeeds(task: str, server: str) -> None:
-    with make(task, server, expert=True) as env:
+def test_following_the_expert_succeeds(goal_task: str, server: str) -> None:
+    with make(goal_task, server, expert=True) as env:
         env.reset(seed=1)
         info: dict[str, Any] = {}
-        for _ in range(TASKS[task]):
+        for _ in range(TASKS[goal_task]):
             *_, info = env.step(env.expert_action())
         assert info["is_success"] is True
+
+
+def test_the_expert_keeps_the_target_and_one_that_rests_loses_it(server: str) -> None:
+    with make("ActiveTrack-v0", server, expert=True) as env:
+        env.reset(seed=1)
+        returned, steps, ended = 0.0, 0, False
+        while not ended:
+            _, reward, terminated, ended, info = env.step(env.expert_action())
+            assert isinstance(reward, float)
+            assert not terminated
+            assert info["is_success"] is False
+            returned, steps = returned + reward, steps + 1
+        assert steps == TASKS["ActiveTrack-v0"]
+        assert 470 < returned < 500
+        terminated = truncated = False
+        env.reset(seed=1)
+        while not (terminated or truncated):
+            observation, _, terminated, truncated, _ = env.step(constant(env, 0))
+        assert (terminated, truncated) == (True, False)
+        assert np.abs(observation[7:9]).max() > 1
+        with pytest.raises(gym.error.ResetNeeded):
+            env.step(constant(env, 0))
+
+
+def test_rewards_of_a_task_without_goals_are_the_servers(server: str) -> None:
+    with make("ActiveTrack-v0", server) as env:
+        for observation, reward, *_ in [v for v in trajectory(env) if len(v) == 5]:
+            # The paper's formula over what is observed: image point and misorientation.
+            expected = 1 - (np.hypot(*observation[7:9]) + 0.1 * abs(observation[9]))
+            assert reward == pytest.approx(expected, abs=1e-6)
 
 
 def test_observations_are_owned_by_the_caller(task: str, server: str) -> None:
@@ -145,7 +184,7 @@ def test_observations_are_owned_by_the_caller(task: str, server: str) -> None:
     kept = copy.deepcopy(first)
     env.step(constant(env, 1))
     assert same(first, kept)
-    first["observation"][:] = 0
+    state(first)[:] = 0
     env.close()
 
 
@@ -156,11 +195,11 @@ def test_views_are_read_only_and_live_for_one_more_step(task: str, server: str) 
     expected, _ = copied.reset(seed=0)
     for _ in range(20):
         with pytest.raises(ValueError, match="read-only"):
-            view["observation"][0] = 1
+            state(view)[0] = 1
         following, *_ = env.step(action)
         assert same(view, expected)
         view, expected = following, copied.step(action)[0]
-    assert not view["observation"].flags.owndata
+    assert not state(view).flags.owndata
     env.close()
     assert same(view, expected)
     copied.close()
@@ -182,18 +221,24 @@ def test_holding_on_to_views_is_refused_and_letting_go_helps(server: str) -> Non
 
 
 def test_a_copy_opens_a_session_of_its_own(task: str, server: str) -> None:
-    env = make(task, server, reward="dense")
+    env = make(task, server, action="joint")
     expected = trajectory(env)
     for duplicate in (pickle.loads(pickle.dumps(env)), copy.deepcopy(env)):
         assert duplicate.observation_space == env.observation_space
         assert duplicate.task_spec == env.task_spec
-        goal = np.zeros(len(env.task_spec.goal or ()), np.float32)
-        assert duplicate.compute_reward(goal, goal, {}) == 0
         with pytest.raises(gym.error.ResetNeeded):
             duplicate.step(duplicate.action_space.sample())
         for a, b in zip(trajectory(duplicate), expected, strict=True):
             assert all(same(x, y) for x, y in zip(a, b, strict=True))
         duplicate.close()
+    env.close()
+
+
+def test_a_copy_has_the_functions_of_goals(goal_task: str, server: str) -> None:
+    env = make(goal_task, server, reward="dense")
+    duplicate = pickle.loads(pickle.dumps(env))
+    goal = np.zeros(len(env.task_spec.goal or ()), np.float32)
+    assert duplicate.compute_reward(goal, goal + 1, {}) == env.compute_reward(goal, goal + 1, {})
     env.close()
 
 

@@ -108,7 +108,7 @@ def test_step_before_reset_and_after_the_end(task: str, server: str) -> None:
         env.step(action)
     assert isinstance(caught.value, trocar.TrocarError)
     env.reset(seed=0)
-    while not env.step(action)[3]:
+    while not any(env.step(action)[2:4]):
         pass
     with pytest.raises(gym.error.ResetNeeded):
         env.step(action)

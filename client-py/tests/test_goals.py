@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import pytest
+from conftest import WITHOUT_GOALS
+from test_env import make
+from test_vector import make_vec
 
 import trocar
 
 
 @pytest.fixture(params=["sparse", "dense"])
-def env(request: pytest.FixtureRequest, task: str, server: str) -> trocar.TrocarEnv:
-    return trocar.TrocarEnv(task, server=server, reward=request.param, expert=True)
+def env(request: pytest.FixtureRequest, goal_task: str, server: str) -> trocar.TrocarEnv:
+    return trocar.TrocarEnv(goal_task, server=server, reward=request.param, expert=True)
 
 
 def test_computed_rewards_are_those_of_the_steps(env: trocar.TrocarEnv) -> None:
@@ -57,6 +61,25 @@ def test_batches_keep_their_shape(env: trocar.TrocarEnv) -> None:
     assert np.ndim(env.compute_reward(goals[0, 0], goals[0, 0], {})) == 0
     assert env.compute_reward(goals[0, 0].tolist(), goals[0, 0].tolist(), {}) == 0
     env.close()
+
+
+@pytest.mark.parametrize("task", WITHOUT_GOALS)
+def test_a_task_without_goals_says_that_it_has_no_functions_of_them(task: str, server: str) -> None:
+    single, envs = make(task, server), make_vec(task, server, 2)
+    assert single.task_spec.goal is None
+    assert single.task_spec.reward == "state"
+    goal = np.zeros((2, 3), np.float32)
+    for env in (single, envs):
+        computed: list[Callable[..., Any]] = [
+            env.compute_reward,
+            env.compute_success,
+            env.compute_terminated,
+            env.compute_truncated,
+        ]
+        for compute in computed:
+            with pytest.raises(trocar.errors.Unsupported, match=f"{task}.*no function of goals"):
+                compute(goal, goal)
+        env.close()
 
 
 def test_wrong_shapes_are_refused(env: trocar.TrocarEnv) -> None:

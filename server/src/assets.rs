@@ -1,5 +1,6 @@
-//! Models of objects: collision shapes, mass and named frames, read from URDFs. Those of `assets/`
-//! are embedded in the program, read once in its life and shared; own tasks bring theirs as [`Scene`].
+//! Models of objects: collision shapes, mass, friction and named frames, read from URDFs. Those of
+//! `assets/` are embedded in the program, read once in its life and shared; own tasks bring theirs as
+//! [`Scene`].
 
 use std::collections::BTreeMap;
 use std::sync::LazyLock;
@@ -18,6 +19,8 @@ pub struct Model {
     pub parts: Vec<Part>,
     /// Its mass, kg.
     pub mass: f64,
+    /// Friction coefficient of what it is made of.
+    pub friction: f64,
     frames: Vec<(String, Pose)>,
 }
 
@@ -27,6 +30,27 @@ impl Model {
         static NEEDLE: LazyLock<Model> =
             LazyLock::new(|| Model::read(include_str!("../../assets/needle/model.urdf")));
         &NEEDLE
+    }
+
+    /// The gauze: a small folded swab with a standing pleat along x; its origin is its middle.
+    pub fn gauze() -> &'static Self {
+        static GAUZE: LazyLock<Model> =
+            LazyLock::new(|| Model::read(include_str!("../../assets/gauze/model.urdf")));
+        &GAUZE
+    }
+
+    /// The block of the peg transfer: a triangular ring about z; its origin is its middle.
+    pub fn block() -> &'static Self {
+        static BLOCK: LazyLock<Model> =
+            LazyLock::new(|| Model::read(include_str!("../../assets/block/model.urdf")));
+        &BLOCK
+    }
+
+    /// The board of the peg transfer with its pegs; its origin is the middle of the board.
+    pub fn pegboard() -> &'static Self {
+        static PEGBOARD: LazyLock<Model> =
+            LazyLock::new(|| Model::read(include_str!("../../assets/pegboard/model.urdf")));
+        &PEGBOARD
     }
 
     /// The pad; its origin is that of the tray in which it lies.
@@ -192,7 +216,10 @@ fn placed(robot: &Robot) -> Result<Vec<Placed>, ModelError> {
             Ok(Part { body_from_part: pose(&collision.origin), shape })
         };
         let parts = link.collision.iter().map(part).collect::<Result<_, _>>()?;
-        let model = Model { parts, mass, frames: vec![] };
+        let material = link.visual.first().and_then(|visual| visual.material.as_ref());
+        let friction = material.and_then(|material| friction_of(&material.name));
+        let friction = friction.unwrap_or(UNKNOWN_FRICTION);
+        let model = Model { parts, mass, friction, frames: vec![] };
         bodies.push(Placed { name: link.name.clone(), model, is_free, scene_from_body });
     }
     for (body, name, pose) in frames {
@@ -202,6 +229,19 @@ fn placed(robot: &Robot) -> Result<Vec<Placed>, ModelError> {
         }
     }
     if bodies.is_empty() { wrong(&robot.name, "has no body") } else { Ok(bodies) }
+}
+
+/// Friction coefficient of a material that the table does not have.
+const UNKNOWN_FRICTION: f64 = 0.5;
+
+/// The friction coefficient that the table of materials gives, with its source.
+fn friction_of(material: &str) -> Option<f64> {
+    /// Column of the table.
+    const FRICTION: usize = 5;
+    let table = include_str!("../../assets/materials.csv");
+    let mut rows = table.lines().skip(1).map(|line| line.split(',').collect::<Vec<_>>());
+    let row = rows.find(|row| row[0] == material)?;
+    Some(row[FRICTION].parse().expect("friction is a number"))
 }
 
 fn pose(origin: &urdf_rs::Pose) -> Pose {
@@ -234,6 +274,13 @@ mod tests {
         let aabb = needle.aabb(&Pose::identity());
         assert!((aabb.max.z - 0.5e-3).abs() < 1e-9 && (aabb.min.z + 0.5e-3).abs() < 1e-9);
         assert!((0.039..0.042).contains(&(aabb.max.y - aabb.min.y)), "{aabb:?}");
+    }
+
+    #[test]
+    fn friction_is_that_of_the_table_of_materials() {
+        assert!((Model::needle().friction - 1.0).abs() < 1e-12);
+        let block = friction_of("block").unwrap();
+        assert!((block - Model::block().friction).abs() < 1e-12);
     }
 
     #[test]

@@ -30,6 +30,7 @@ use crate::sim::random::Rng;
 use crate::sim::world::World;
 use crate::tasks::AnyTask;
 use crate::tasks::options::{Domain, SCALED_LENGTH, SCALED_LENGTHS_PER_METRE};
+use crate::tasks::start::Starts;
 
 mod rebuild;
 
@@ -57,8 +58,8 @@ pub struct Step {
 #[derive(Clone)]
 pub struct Env {
     spec: Arc<TaskSpec>,
+    beginning: Beginning,
     options: Arc<Options>,
-    prepared: Arc<World>,
     domain: Domain,
     task: Box<dyn AnyTask>,
     world: World,
@@ -66,6 +67,8 @@ pub struct Env {
     episode: u64,
     steps: u32,
     state: State,
+    /// Whether it was said that an object is lost.
+    reported_loss: bool,
     noise: Noise,
     delayed: VecDeque<Option<Vec<f32>>>,
     command: Vec<f32>,
@@ -74,6 +77,15 @@ pub struct Env {
     observation: Vec<f32>,
     achieved: Vec<f32>,
     desired: Vec<f32>,
+}
+
+/// From what episodes begin.
+#[derive(Clone)]
+enum Beginning {
+    /// One world, which a reset arranges.
+    World(Arc<World>),
+    /// One of several states.
+    Starts(Arc<Starts>),
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -97,20 +109,25 @@ impl Env {
     /// Memory that an environment is counted with, bytes: an upper bound over the tasks.
     pub const MEMORY_BYTES: u64 = 192 << 10;
 
-    /// An environment of `task`, which prepared `world` under all of `options`; it needs a reset.
+    /// An environment of `task` under all of `options`, which looks like `spec` and prepared `world`; it
+    /// needs a reset.
     pub(crate) fn new(
+        spec: TaskSpec,
         task: Box<dyn AnyTask>,
         world: World,
         domain: Domain,
         options: Options,
     ) -> Self {
-        let spec = task.spec();
         let (action, observation, goal) =
             (spec.action_dim(), spec.observation_dim(), spec.goal_dim());
         Self {
             spec: Arc::new(spec),
+            beginning: if task.begins_prepared() {
+                Beginning::Starts(Arc::new(Starts::new(task.clone(), world.clone())))
+            } else {
+                Beginning::World(Arc::new(world.clone()))
+            },
             options: Arc::new(options),
-            prepared: Arc::new(world.clone()),
             domain,
             task,
             world,
@@ -118,6 +135,7 @@ impl Env {
             episode: 0,
             steps: 0,
             state: State::New,
+            reported_loss: false,
             noise: Noise { rng: Rng::new(0, 0), sigma: 0.0 },
             delayed: VecDeque::new(),
             command: vec![0.0; action],
@@ -131,6 +149,21 @@ impl Env {
     /// The task under this environment's options.
     pub fn spec(&self) -> &TaskSpec {
         &self.spec
+    }
+
+    /// What is simulated, to look at.
+    pub fn world(&self) -> &World {
+        &self.world
+    }
+
+    /// Whether an object has left the theatre: it fell off the table, or was thrown away. Observations
+    /// show it at the edge.
+    pub fn has_lost_objects(&self) -> bool {
+        let theatre = self.task.theatre();
+        self.world.objects().any(|object| {
+            let at = self.world.pose(object).translation.vector;
+            theatre.clamp(&at) != at
+        })
     }
 
     /// Begins an episode: episode 0 of `seed`, or without one the next episode of the seed that is
@@ -150,8 +183,17 @@ impl Env {
         self.steps = 0;
         self.taken.clear();
         self.state = State::Running;
-        self.world.clone_from(&self.prepared);
-        self.task.reset(&mut self.world, &mut Rng::new(self.seed, self.episode));
+        self.reported_loss = false;
+        let mut rng = Rng::new(self.seed, self.episode);
+        match &self.beginning {
+            Beginning::World(world) => self.world.clone_from(world),
+            Beginning::Starts(starts) => {
+                let (task, world) = starts.draw(&mut rng);
+                self.task.clone_from(task);
+                self.world.clone_from(world);
+            }
+        }
+        self.task.reset(&mut self.world, &mut rng);
 
         let mut rng = Rng::sensor(self.seed, self.episode);
         let latency = self.domain.latency.draw_integer(&mut rng);
@@ -222,6 +264,12 @@ impl Env {
                 *number = 0.0;
             }
             return Err(StepError::Simulation { what, step: self.steps });
+        }
+
+        if !self.reported_loss && self.has_lost_objects() {
+            self.reported_loss = true;
+            let Self { seed, episode, steps, .. } = self;
+            tracing::warn!(task = self.spec.id, seed, episode, steps, "an object left the theatre");
         }
 
         let reward = match (&self.spec.goal, self.spec.reward) {

@@ -208,7 +208,7 @@ fn the_parallelogram_stays_closed() {
 #[test]
 fn every_model_has_plausible_inertia() {
     let models = urdfs();
-    assert_eq!(models.len(), 12, "{models:?}");
+    assert_eq!(models.len(), 17, "{models:?}");
     for path in models {
         for link in read(&path).links.iter().filter(|link| !link.visual.is_empty()) {
             let inertia = &link.inertial.inertia;
@@ -366,6 +366,11 @@ fn meshes_have_the_size_of_the_real_parts() {
         ("pad/meshes/pad.obj", [101.0, 170.0, 5.2]),
         ("tray/meshes/tray.obj", [120.0, 196.0, 22.75]),
         ("table/meshes/top.obj", [416.0, 537.0, 50.0]),
+        ("gauze/meshes/gauze.obj", [15.2, 25.5, 2.45]),
+        ("block/meshes/block.obj", [14.7, 16.9, 14.5]),
+        ("pegboard/meshes/board.obj", [103.0, 154.0, 22.0]),
+        ("cube/meshes/cube_100.obj", [100.0; 3]),
+        ("cube/meshes/cube_80.obj", [80.0; 3]),
     ];
     for (path, expected) in expected {
         let mesh = read_mesh(&assets().join(path));

@@ -13,8 +13,11 @@ from numpy.typing import ArrayLike, NDArray
 from trocar import _trocar
 from trocar.errors import InvalidOption, InvalidRequest, refuse
 
-Observation = dict[str, NDArray[np.float32]]
+Arrays = dict[str, NDArray[np.float32]]
 """Arrays by name: ``observation``, and ``achieved_goal``, ``desired_goal`` for tasks with goals."""
+
+Observation = Any
+"""What environments return: :data:`Arrays`, or the one array of a task without goals."""
 
 LARGEST_SEED = 2**63 - 1
 """Seeds are below 2**63, so that they fit into NumPy's integers."""
@@ -24,7 +27,8 @@ class GoalFunctions:
     """Rewards as pure functions of goals, for one pair of goals or any batch of them.
 
     The functions are those that the server uses, so relabelled transitions (hindsight experience
-    replay) get exactly the reward that the server would have given.
+    replay) get exactly the reward that the server would have given. A task without goals has no
+    such functions: they raise :class:`~trocar.errors.Unsupported`.
     """
 
     task_spec: _trocar.TaskSpec
@@ -67,11 +71,11 @@ def action_space(spec: _trocar.TaskSpec) -> spaces.Space[NDArray[np.float32]]:
 
 def observation_space(spec: _trocar.TaskSpec) -> spaces.Space[Observation]:
     """The observations of one environment."""
-    parts = {"observation": _box(spec.observation)}
-    if spec.goal is not None:
-        parts |= {"achieved_goal": _box(spec.goal), "desired_goal": _box(spec.goal)}
-    # Gymnasium's own types do not say what a Dict holds.
-    return cast("spaces.Space[Observation]", spaces.Dict(dict(sorted(parts.items()))))
+    state = _box(spec.observation)
+    if spec.goal is None:
+        return state
+    goal = _box(spec.goal)
+    return spaces.Dict({"achieved_goal": goal, "desired_goal": goal, "observation": state})
 
 
 def _box(elements: Sequence[_trocar.Element]) -> spaces.Space[NDArray[np.float32]]:
@@ -81,7 +85,7 @@ def _box(elements: Sequence[_trocar.Element]) -> spaces.Space[NDArray[np.float32
     return cast("spaces.Space[NDArray[np.float32]]", box)
 
 
-def observation(reply: _trocar.Reply, copy: bool) -> Observation:
+def observation(reply: _trocar.Reply, copy: bool) -> Arrays:
     """The state that a reply brings: arrays of shape (rows, ...)."""
     arrays = {"observation": reply.observation(copy)}
     if reply.has_goals:
@@ -90,13 +94,18 @@ def observation(reply: _trocar.Reply, copy: bool) -> Observation:
     return arrays
 
 
-def final_observation(reply: _trocar.Reply) -> Observation:
+def final_observation(reply: _trocar.Reply) -> Arrays:
     """The last state of episodes that the same step replaced: arrays of shape (rows, ...)."""
     arrays = {"observation": reply.final_observation()}
     if reply.has_goals:
         arrays["achieved_goal"] = reply.final_achieved_goal()
         arrays["desired_goal"] = reply.final_desired_goal()
     return arrays
+
+
+def shown(arrays: Arrays) -> Observation:
+    """What an environment returns of a state: all arrays by name, or the only one."""
+    return arrays if len(arrays) > 1 else arrays["observation"]
 
 
 def check_seed(seed: Any, field: str = "seed") -> int:

@@ -19,6 +19,7 @@ from trocar._goal import (
     check_seed,
     observation,
     observation_space,
+    shown,
 )
 from trocar.errors import InvalidOption, ResetNeeded, refuse
 from trocar.snapshot import Snapshot
@@ -30,7 +31,8 @@ class TrocarEnv(GoalFunctions, gym.Env[Observation, NDArray[np.float32]]):
     Observations are dictionaries of float32 arrays: ``observation``, ``achieved_goal`` and
     ``desired_goal``; :attr:`task_spec` says what each element means. ``info["is_success"]`` says
     after each step whether the goal is reached. Episodes never terminate there; they are truncated
-    by the server at the task's number of steps.
+    by the server at the task's number of steps. Tasks without goals return the array
+    ``observation`` alone, never report success, and may terminate.
 
     ``reset(seed=s)`` begins the first episode of seed ``s``, ``reset()`` the next one; which one it
     was, ``info["episode_seed"]`` and ``info["episode_index"]`` tell. Without any seed, a random one
@@ -150,7 +152,7 @@ class TrocarEnv(GoalFunctions, gym.Env[Observation, NDArray[np.float32]]):
         if self._connection.expert:
             self._expert_action = reply.expert_action()[0]
             info["expert_action"] = self._expert_action.copy()
-        return {name: rows[0] for name, rows in observation(reply, self._copy).items()}
+        return shown({name: rows[0] for name, rows in observation(reply, self._copy).items()})
 
     def __getstate__(self) -> dict[str, Any]:
         return {**self.__dict__, "_expert_action": None}

@@ -15,7 +15,12 @@ NAMESPACE = "trocar"
 TASKS = {
     "NeedleReach-v0": 50,
     "NeedlePick-v0": 50,
+    "GauzeRetrieve-v0": 50,
+    "PegTransfer-v0": 50,
     "EcmReach-v0": 50,
+    "MisOrient-v0": 50,
+    "StaticTrack-v0": 50,
+    "ActiveTrack-v0": 500,
 }
 
 

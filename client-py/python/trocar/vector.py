@@ -22,6 +22,7 @@ from trocar._goal import (
     final_observation,
     observation,
     observation_space,
+    shown,
 )
 from trocar.errors import InvalidEnvIds, InvalidOption, InvalidRequest, ResetNeeded, refuse
 from trocar.snapshot import Snapshot
@@ -148,7 +149,7 @@ class TrocarVectorEnv(
         infos = _masked(chosen, **{name: latest.pop(name) for name in EPISODE})
         if self._connection.expert:
             infos |= _masked(chosen, expert_action=expert_action)
-        return latest, infos
+        return shown(latest), infos
 
     def step(self, actions: ArrayLike) -> Step:
         """Acts in every environment; ``actions`` has shape (num_envs, action dim)."""
@@ -227,7 +228,7 @@ class TrocarVectorEnv(
         latest = self._latest.arrays(self._copy)
         for name in (*EPISODE, "expert_action"):
             del latest[name]
-        return latest
+        return shown(latest)
 
     def expert_action(self) -> NDArray[np.float32]:
         """What the scripted expert would do now: (num_envs, action dim); with ``expert=True``."""
@@ -283,7 +284,8 @@ class TrocarVectorEnv(
             infos |= _masked(failed, simulation_failed=failed)
         if self._connection.expert:
             infos |= _masked(everyone, expert_action=reply.expert_action())
-        return observation(reply, self._copy), reply.reward(), terminations, truncations, infos
+        state = shown(observation(reply, self._copy))
+        return state, reply.reward(), terminations, truncations, infos
 
     def _chosen(self, options: dict[str, Any] | None) -> NDArray[np.bool_]:
         """Which environments a reset is about."""
@@ -388,7 +390,7 @@ def _final(reply: _trocar.Reply, ended: NDArray[np.bool_]) -> dict[str, Any]:
     last = final_observation(reply)
     observations = np.full(reply.rows, None, dtype=object)
     for row in np.flatnonzero(ended):
-        observations[row] = {name: rows[row].copy() for name, rows in last.items()}
+        observations[row] = shown({name: rows[row].copy() for name, rows in last.items()})
     return {
         "final_obs": observations,
         "_final_obs": ended.copy(),

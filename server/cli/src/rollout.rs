@@ -58,9 +58,18 @@ pub(crate) struct Rollout {
     /// What the numbers of an action mean: paper, cartesian, cartesian_abs or joint
     #[arg(long, value_name = "WORD")]
     action: Option<String>,
+    /// What holds an object in the jaws: interact, approx or weld
+    #[arg(long, value_name = "WORD")]
+    grasp: Option<String>,
+    /// With --grasp approx: from the jaws' tip to the object's surface, m
+    #[arg(long, value_name = "METRES")]
+    grasp_distance: Option<String>,
     /// Where objects and goals appear: workspace or narrow
     #[arg(long, value_name = "WORD")]
     spawn: Option<String>,
+    /// How much is done when an episode begins: reset, approach, pick or lift
+    #[arg(long, value_name = "WORD")]
+    start: Option<String>,
     /// Whose numbers: paper or surrol
     #[arg(long, value_name = "WORD")]
     preset: Option<String>,
@@ -197,7 +206,10 @@ impl Rollout {
         let named = [
             ("reward", &self.reward),
             ("action", &self.action),
+            ("grasp", &self.grasp),
+            ("grasp_distance", &self.grasp_distance),
             ("spawn", &self.spawn),
+            ("start", &self.start),
             ("preset", &self.preset),
         ];
         let named = named

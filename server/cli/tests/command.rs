@@ -144,6 +144,7 @@ fn tasks_are_listed_with_dimensions_and_options() {
 fn a_rollout_gives_the_same_numbers_in_a_server_and_however_batched() {
     let server = Server::start("same");
     let place = ["--server", server.name.as_str()];
+    let tasks = json_lines(&run(&["tasks", "--json"])).len();
     for policy in ["oracle", "random"] {
         let common = [
             "rollout",
@@ -166,7 +167,7 @@ fn a_rollout_gives_the_same_numbers_in_a_server_and_however_batched() {
         ]
         .map(|arguments| {
             let mut rows = json_lines(&run(&arguments));
-            assert_eq!(rows.len(), 3);
+            assert_eq!(rows.len(), tasks);
             for row in &mut rows {
                 assert!(row["steps_per_second"].as_f64().unwrap() > 0.0);
                 row.as_object_mut().unwrap().remove("steps_per_second");
@@ -190,6 +191,11 @@ fn a_rollout_gives_the_same_numbers_in_a_server_and_however_batched() {
         );
         assert_eq!(first[0]["grasp"], Value::Null);
         assert_eq!(first[0]["success_rate"], if policy == "oracle" { 1.0 } else { 0.0 });
+        // A task without goals has a return, and nothing to succeed in.
+        let row = first.iter().find(|row| row["task"] == "ActiveTrack-v0").unwrap();
+        assert_eq!((&row["success_rate"], &row["success_ever_rate"]), (&Value::Null, &Value::Null));
+        let mean = row["mean_return"].as_f64().unwrap();
+        assert!(if policy == "oracle" { mean > 450.0 } else { mean < 400.0 }, "{mean}");
     }
 }
 

@@ -17,7 +17,7 @@ use trocar_server::sim::instrument::{CLEARANCE, JAW_CLOSED, TIP_OFFSET};
 use trocar_server::sim::random::Rng;
 use trocar_server::sim::world::{BodyId, Solver, World};
 use trocar_server::tasks::options::{self, Preset};
-use trocar_server::tasks::psm_scene::{PaperAction, PsmArm, SECONDS_PER_STEP};
+use trocar_server::tasks::psm_scene::{PaperAction, PsmArm, SECONDS_PER_STEP, Station, Turn};
 use trocar_server::{Registry, ServerConfig, StopSignal, Task, serve};
 
 /// Where cubes start, m: those of the whole range along x lie in front of the arm's start.
@@ -58,10 +58,11 @@ impl Task for PushCube {
         let mut world = World::new(Solver::LIGHT);
         let cube = scene.insert(&mut world, FRICTION)["cube"];
         let (board, at) = scene.body("board");
-        let paper = PaperAction { turns: false, jaw: false };
+        let paper = PaperAction { turn: Turn::Nothing, jaw: false };
         let start = [0.50, 0.0, 0.70 + TIP_OFFSET];
+        let station = Station::psm1(start, board.aabb(&at).max.z);
         let task = Self {
-            arm: PsmArm::insert(&mut world, options, paper, start, board.aabb(&at).max.z)?,
+            arm: PsmArm::insert(&mut world, options, paper, station)?,
             cube,
             height: scene.body("cube").1.translation.z,
             goal: Vector3::zeros(),
@@ -94,7 +95,7 @@ impl Task for PushCube {
         let start = Vector3::new(along(0), along(1), self.height);
         world.place(self.cube, &frames::pose(start.into(), [0.0; 3]));
         self.goal = start + Vector3::x() * rng.uniform(DISTANCES[0], DISTANCES[1]);
-        self.arm.reset(rng);
+        self.arm.reset(world, rng);
     }
 
     fn apply(&mut self, world: &mut World, action: Option<&[f32]>) {

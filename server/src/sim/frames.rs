@@ -3,15 +3,22 @@
 //! Frames are named in the code: `world_from_tip` takes coordinates in the tip frame to
 //! coordinates in the world, so that `world_from_base * base_from_tip` checks itself.
 
+use std::f64::consts::{FRAC_PI_2, PI};
+
 use nalgebra::{Isometry3, Point3, Rotation3, Translation3, UnitQuaternion, Vector3};
 use rapier3d::math::{Pose as EnginePose, Rotation as EngineRotation, Vector as EngineVector};
+
+use rapier3d::parry::query::details::closest_points_segment_segment_with_locations;
+use rapier3d::parry::shape::Segment;
 
 /// A rigid transform, translation in m.
 pub type Pose = Isometry3<f64>;
 
-/// Engine lengths per metre. Contacts of millimetre-sized parts fail in the engine's narrow phase
-/// below a factor of 5; 10 held in every trial.
-pub(super) const SCALE: f64 = 10.0;
+/// Engine lengths per metre. The engine's search for the nearest points of two parts stops where
+/// twice the area of a triangle between their features is below 1.1e-3 (parry, `gjk::eps_tol`): in
+/// centimetres that is 0.1 mm × 1.1 mm, in metres 30 mm × 37 mm, and the edges of jaws would pass
+/// through wires. 30 to 1000 behave alike.
+pub(super) const SCALE: f64 = 100.0;
 
 /// The pose at `position` (m) with the orientation of extrinsic XYZ Euler angles (rad), that is
 /// Rz(yaw)·Ry(pitch)·Rx(roll).
@@ -24,11 +31,24 @@ pub fn pose(position: [f64; 3], roll_pitch_yaw: [f64; 3]) -> Pose {
 }
 
 /// The extrinsic XYZ Euler angles (roll, pitch, yaw) of a rotation, rad: R = Rz(yaw)·Ry(pitch)·Rx(roll),
-/// roll and yaw in [−π, π], pitch in [−π/2, π/2].
+/// roll and yaw in [−π, π[, pitch in [−π/2, π/2]. At a pitch of ±π/2, where only their sum or difference
+/// counts, the roll is 0.
 pub fn euler_xyz(rotation: &UnitQuaternion<f64>) -> [f64; 3] {
+    /// From 1, the sine of a pitch that counts as π/2: further from it than rounding.
+    const SINGULAR: f64 = 1e-12;
+    /// From π, an angle that counts as it, rad: further from it than rounding.
+    const HALF_TURN: f64 = 1e-9;
     let matrix: Rotation3<f64> = rotation.to_rotation_matrix();
-    let (roll, pitch, yaw) = matrix.euler_angles();
-    [roll, pitch, yaw]
+    let sine = -matrix[(2, 0)];
+    let [roll, pitch, yaw] = if sine.abs() > 1.0 - SINGULAR {
+        let yaw = libm::atan2(-matrix[(0, 1)], matrix[(1, 1)]);
+        [0.0, FRAC_PI_2.copysign(sine), yaw]
+    } else {
+        let (roll, pitch, yaw) = matrix.euler_angles();
+        [roll, pitch, yaw]
+    };
+    let wrapped = |angle: f64| if angle > PI - HALF_TURN { -PI } else { angle };
+    [wrapped(roll), pitch, wrapped(yaw)]
 }
 
 /// Moves from `start` (0) to `end` (1): straight in position, along the shorter arc in rotation.
@@ -37,6 +57,18 @@ pub fn interpolate(start: &Pose, end: &Pose, fraction: f64) -> Pose {
     let rotation =
         start.rotation.try_slerp(&end.rotation, fraction, 1e-12).unwrap_or(start.rotation); // half a turn in one step: there is no shorter arc
     Isometry3::from_parts(translation.into(), rotation)
+}
+
+/// The distance of two segments, given by their ends, m.
+pub fn segment_distance(one: &[Point3<f64>; 2], other: &[Point3<f64>; 2]) -> f64 {
+    let segment = |ends: &[Point3<f64>; 2]| {
+        Segment::new(to_engine_vector(&ends[0].coords), to_engine_vector(&ends[1].coords))
+    };
+    let (one, other) = (segment(one), segment(other));
+    let (at, other_at) =
+        closest_points_segment_segment_with_locations(&EnginePose::IDENTITY, &one, &other);
+    let between = one.point_at(&at) - other.point_at(&other_at);
+    f64::from(between.length()) / SCALE
 }
 
 /// An axis-aligned box, m.
@@ -87,6 +119,11 @@ impl Aabb {
     /// The middle.
     pub fn centre(&self) -> Vector3<f64> {
         (self.min + self.max) * 0.5
+    }
+
+    /// The lengths of the edges, m.
+    pub fn extents(&self) -> Vector3<f64> {
+        self.max - self.min
     }
 
     /// The nearest point of the box.
@@ -150,10 +187,31 @@ mod tests {
     }
 
     #[test]
+    fn euler_angles_are_determined_where_the_pitch_is_a_quarter_turn() {
+        for pitch in [-FRAC_PI_2, FRAC_PI_2] {
+            for rounding in [0.0, 1e-10, -1e-10] {
+                let angles = [0.0, pitch + rounding, -1.0];
+                let found = euler_xyz(&pose([0.0; 3], angles).rotation);
+                for (found, expected) in found.iter().zip(angles) {
+                    assert!((found - expected).abs() < 1e-9, "{found} for {expected}");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn half_a_turn_has_one_sign_however_it_is_rounded() {
+        for rounding in [0.0, 1e-12, -1e-12] {
+            let [roll, _, _] = euler_xyz(&pose([0.0; 3], [PI + rounding, 0.3, 1.0]).rotation);
+            assert!((roll + PI).abs() < 1e-9, "{roll}");
+        }
+    }
+
+    #[test]
     fn the_engine_gets_scaled_lengths_and_gives_back_metres() {
         let there = pose([0.55, -0.02, 0.68], [0.1, -0.2, 0.3]);
         let engine = to_engine(&there);
-        assert!((engine.translation.x - 5.5).abs() < 1e-6);
+        assert!((engine.translation.x - 55.0).abs() < 1e-5);
         let back = from_engine(&engine);
         assert!((back.translation.vector - there.translation.vector).norm() < 1e-7);
         assert!(back.rotation.angle_to(&there.rotation) < 1e-6);
@@ -169,6 +227,18 @@ mod tests {
         assert!((middle.translation.x - 0.05).abs() < 1e-15);
         // The shorter arc leads through π, not through 0.
         assert!((middle.rotation.angle() - std::f64::consts::PI).abs() < 1e-9);
+    }
+
+    #[test]
+    fn segments_are_as_far_apart_as_their_nearest_points() {
+        let along = |axis: usize, z: f64| {
+            let mut step = Vector3::zeros();
+            step[axis] = 0.01;
+            [-step, step].map(|end| Point3::new(0.0, 0.0, z) + end)
+        };
+        assert!((segment_distance(&along(0, 0.0), &along(1, 0.005)) - 0.005).abs() < 1e-8);
+        let shifted = along(0, 0.0).map(|end| end + Vector3::new(0.03, 0.0, 0.0));
+        assert!((segment_distance(&along(0, 0.0), &shifted) - 0.01).abs() < 1e-8);
     }
 
     #[test]

@@ -1,24 +1,15 @@
-//! A PSM instrument in the world: a wrist driven along smooth paths, and two fingers.
+//! A PSM instrument in the world: a driven wrist, and two fingers.
 //!
-//! Within an environment step wrist and jaw angle follow a smoothstep profile, so their velocity is
-//! continuous and zero at both ends. Fingers that grip are bodies of their own on hinges: what they
-//! hold, they hold by friction. Their motors keep them at equal angles on both sides of the wrist,
-//! as the real jaws' gearing does, and drive that angle with no more than the grip's squeeze. Fingers
-//! that are locked are driven like the wrist, and nothing moves them.
-//!
-//! Two rules belong to the model's definition:
-//!
-//! - **Yield**: where an object that is in the way pushes back too hard or is pressed into what is
-//!   behind it, the instrument goes back along its path instead of forward; just before, it waits.
-//! - **Quiescence**: while every free object sleeps, the jaws are as open as they should be, and the
-//!   instrument's swept volume meets no object (and, where it grips, no furniture), the instrument
-//!   moves and no substep runs, since nothing else would change.
+//! Fingers that grip are bodies of their own on hinges: what they hold, they hold by friction. Their
+//! motors keep them at equal angles on both sides of the wrist, as the real jaws' gearing does, and
+//! drive that angle with no more than the grip's squeeze. Fingers that are locked are driven like the
+//! wrist, and nothing moves them. How instruments move is in [`travel`](super::travel).
 
 use nalgebra::{Point3, Unit, UnitQuaternion, Vector3};
 
 use super::frames::{self, Aabb, Pose};
 use super::world::{
-    BodyId, Hinge, HingedId, Motion, Part, Push, SUBSTEPS_PER_SECOND, Shape, World,
+    BodyId, Hinge, HingedId, Motion, Part, Push, SUBSTEPS_PER_SECOND, Shape, TieId, World,
 };
 use crate::robots::Psm;
 
@@ -36,28 +27,13 @@ pub const JAW_OPEN: f64 = 0.698_131_700_797_731_8;
 /// an object while they press on its support lose it.
 pub const CLEARANCE: f64 = 0.05e-3;
 
-/// Net force of objects against the motion beyond which an instrument yields, N.
-const YIELD_FORCE: f64 = 2.5;
-
-/// Overlap of a pushed object with anything beyond which an instrument yields, m. Contact stiffness
-/// is per mass: a needle of 0.4 g would be pressed through its support before it pushed back with
-/// [`YIELD_FORCE`].
-const YIELD_OVERLAP: f64 = 0.05e-3;
-
-/// Overlap beyond which locked jaws wait, m.
-const HOLD_OVERLAP_LOCKED: f64 = 0.5 * YIELD_OVERLAP;
-
-/// Overlap beyond which gripping jaws wait, m: in one substep they move by up to 0.5 mm, as much as
-/// the radius of a needle's wire.
-const HOLD_OVERLAP_GRIPPING: f64 = 0.01e-3;
-
 /// Distance at which an object counts as met, m: more than the engine's contact prediction
 /// (0.2 mm) and than the bulge of the path of a jaw tip that turns by 50°.
 const MARGIN: f64 = 1e-3;
 
 /// Half extents of a finger, m: across (along the hinge), thickness, length. Source: the
 /// original's collision box, 1.4 mm × 10.2 mm × 1.8 mm.
-const FINGER_HALF: Vector3<f64> = Vector3::new(0.9e-3, 0.7e-3, 5.1e-3);
+pub const FINGER_HALF: Vector3<f64> = Vector3::new(0.9e-3, 0.7e-3, 5.1e-3);
 
 /// Radius of the clevis between the wrist's pitch and yaw axes, m (8 mm shaft, tapered).
 const CLEVIS_RADIUS: f64 = 2.5e-3;
@@ -96,7 +72,7 @@ impl Posture {
     }
 
     /// The way of the wrist from this posture (0) to another (1), and that of the jaw angle.
-    fn towards(&self, end: &Self, wrist: f64, jaw: f64) -> Self {
+    pub(super) fn towards(&self, end: &Self, wrist: f64, jaw: f64) -> Self {
         let world_from_wrist =
             frames::interpolate(&self.world_from_wrist, &end.world_from_wrist, wrist);
         Self { world_from_wrist, jaw: self.jaw + (end.jaw - self.jaw) * jaw }
@@ -106,6 +82,12 @@ impl Posture {
     fn world_from_finger(&self, side: f64) -> Pose {
         let turn = UnitQuaternion::from_axis_angle(&Vector3::x_axis(), -0.5 * side * self.jaw);
         self.world_from_wrist * turn
+    }
+
+    /// How far the clevises of instruments in two postures are apart, m; below 0 they overlap.
+    pub fn gap(&self, other: &Self) -> f64 {
+        let clevis = |posture: &Self| clevis_ends().map(|end| posture.world_from_wrist * end);
+        frames::segment_distance(&clevis(self), &clevis(other)) - 2.0 * CLEVIS_RADIUS
     }
 
     /// A box around fingers and clevis.
@@ -125,6 +107,8 @@ pub struct Instrument {
     wrist: BodyId,
     fingers: Fingers,
     posture: Posture,
+    /// What is tied to the wrist, and by what.
+    tied: Option<(BodyId, TieId)>,
     /// Whether the bodies in the world are where they were before the instrument moved without
     /// substeps.
     stale: bool,
@@ -166,7 +150,7 @@ impl Instrument {
                 world.insert(Motion::Driven, &pose, FRICTION, &[finger(side)])
             }))
         };
-        Self { wrist, fingers, posture, stale: true }
+        Self { wrist, fingers, posture, tied: None, stale: true }
     }
 
     /// Where it is, with the jaw angle that is asked for.
@@ -182,9 +166,46 @@ impl Instrument {
         }
     }
 
-    /// Whether both fingers press on `object`.
+    /// Whether `object` is in its jaws: both fingers press on it, or it is tied to the wrist.
     pub fn holds(&self, world: &World, object: BodyId) -> bool {
-        !self.stale && self.finger_bodies().iter().all(|finger| world.touch(*finger, object))
+        self.is_tied_to(object) || self.fingers_touching(world, object) == 2
+    }
+
+    /// How many of its fingers press on `object`.
+    pub fn fingers_touching(&self, world: &World, object: BodyId) -> usize {
+        if self.stale {
+            return 0;
+        }
+        self.finger_bodies().iter().filter(|finger| world.touch(**finger, object)).count()
+    }
+
+    /// Whether `object` is tied to the wrist.
+    pub fn is_tied_to(&self, object: BodyId) -> bool {
+        self.tied.is_some_and(|(tied, _)| tied == object)
+    }
+
+    /// Ties `object` to the wrist where it is, whatever was tied before.
+    pub fn tie(&mut self, world: &mut World, object: BodyId) {
+        self.untie(world);
+        if self.stale {
+            let posture = self.posture;
+            self.put_bodies(world, &posture);
+        }
+        self.tied = Some((object, world.tie(self.wrist, object)));
+    }
+
+    /// Lets go what is tied to the wrist.
+    pub fn untie(&mut self, world: &mut World) {
+        if let Some((_, tie)) = self.tied.take() {
+            world.untie(tie);
+        }
+    }
+
+    /// Sets the friction coefficient of its fingers.
+    pub fn set_friction(&self, world: &mut World, friction: f64) {
+        for finger in self.finger_bodies() {
+            world.set_friction(finger, friction);
+        }
     }
 
     /// How far its lowest point lies below a wrist of this orientation, m, however far the jaws can
@@ -209,60 +230,26 @@ impl Instrument {
         self.stale = true;
     }
 
-    /// Moves to `end` within `substeps` substeps and returns how far along the wrist got, from 0
-    /// to 1: less than 1 where it yielded.
-    pub fn travel(&mut self, world: &mut World, end: Posture, substeps: u32) -> f64 {
-        let start = self.posture;
-        let along = |done: u32, now: u32| {
-            start.towards(&end, smoothstep(done, substeps), smoothstep(now, substeps))
-        };
-        let mut done = 0;
-        let mut push = Push::NONE;
-        for now in 1..=substeps {
-            if world.at_rest() && self.jaws_rest(world) {
-                push = Push::NONE;
-                if self.has_free_way(world, &end) {
-                    self.posture = end;
-                    self.stale = true;
-                    return 1.0;
-                }
-                let next = along(done + 1, now);
-                if self.has_free_way(world, &next) {
-                    done += 1;
-                    self.posture = next;
-                    self.stale = true;
-                    continue;
-                }
-            }
-            let resistance = match self.fingers {
-                Fingers::Locked(_) => resistance(&push, &start, &end, HOLD_OVERLAP_LOCKED),
-                Fingers::Gripping { .. } => {
-                    let next = along(done + 1, now);
-                    resistance(&push, &self.posture, &next, HOLD_OVERLAP_GRIPPING)
-                }
-            };
-            done = match resistance {
-                Resistance::None => done + 1,
-                Resistance::Holds => done,
-                Resistance::Drives => done.saturating_sub(1),
-            };
-            self.drive(world, along(done, now));
-            push = self.push(world);
-        }
-        smoothstep(done, substeps)
+    /// Whether the fingers are bodies of their own.
+    pub(super) fn grips(&self) -> bool {
+        matches!(self.fingers, Fingers::Gripping { .. })
     }
 
-    fn jaws_rest(&self, world: &World) -> bool {
+    /// Whether the jaws are as open as they should be.
+    pub(super) fn jaws_rest(&self, world: &World) -> bool {
         (self.opening(world) - self.posture.jaw).abs() < AT_REST
     }
 
-    fn has_free_way(&self, world: &World, to: &Posture) -> bool {
-        let swept = self.posture.aabb().merged(&to.aabb());
-        let meets_furniture = match self.fingers {
-            Fingers::Locked(_) => false, // nothing fixed moves what is driven
-            Fingers::Gripping { .. } => world.furniture_in(&swept),
-        };
-        !world.object_in(&swept.grown(MARGIN)) && !meets_furniture
+    /// A box around all that it passes through on its way to `end`, m.
+    pub(super) fn swept(&self, end: &Posture) -> Aabb {
+        self.posture.aabb().merged(&end.aabb())
+    }
+
+    /// Whether it meets nothing in the volume that it sweeps.
+    pub(super) fn has_free_way(&self, world: &World, swept: &Aabb) -> bool {
+        // Nothing fixed moves what is driven.
+        let meets_furniture = self.grips() && world.furniture_in(swept);
+        self.tied.is_none() && !world.object_in(&swept.grown(MARGIN)) && !meets_furniture
     }
 
     fn finger_bodies(&self) -> [BodyId; 2] {
@@ -272,8 +259,8 @@ impl Instrument {
         }
     }
 
-    /// Lets one substep pass in which the instrument goes to `next`.
-    fn drive(&mut self, world: &mut World, next: Posture) {
+    /// Makes it go to `next` in the substep to come.
+    pub(super) fn drive(&mut self, world: &mut World, next: Posture) {
         if self.stale {
             self.put_bodies(world, &next);
         }
@@ -292,7 +279,9 @@ impl Instrument {
                 }
             }
         }
-        world.step();
+        if let Some((object, _)) = self.tied {
+            world.wake(object);
+        }
         self.posture = next;
     }
 
@@ -314,8 +303,12 @@ impl Instrument {
         self.stale = false;
     }
 
-    fn push(&self, world: &World) -> Push {
+    /// What the rest of the world did to it, and to what is tied to it, in the last substep.
+    pub(super) fn push(&self, world: &World) -> Push {
         let [left, right] = self.finger_bodies();
+        if let Some((object, _)) = self.tied {
+            return world.push_on(&[self.wrist, left, right, object]);
+        }
         match self.fingers {
             // Locked jaws cannot give way: what they squeeze counts as pressed.
             Fingers::Locked(_) => {
@@ -357,41 +350,11 @@ fn clevis_ends() -> [Point3<f64>; 2] {
     [Point3::origin(), Point3::new(0.0, 0.0, -CLEVIS_LENGTH)]
 }
 
-/// What an object in the way does to a motion.
-enum Resistance {
-    /// The motion goes on.
-    None,
-    /// It waits until the object has given way.
-    Holds,
-    /// It goes back.
-    Drives,
-}
-
-/// What `push` does to the motion from `start` to `end`, which waits beyond an overlap of `hold`, m.
-fn resistance(push: &Push, start: &Posture, end: &Posture, hold: f64) -> Resistance {
-    let end_from_start = end.world_from_wrist * start.world_from_wrist.inverse();
-    let motion = end_from_start * push.point - push.point;
-    let Some(direction) = motion.try_normalize(1e-9) else { return Resistance::None };
-    let along = push.force.dot(&direction);
-    if along < -YIELD_FORCE || (along < 0.0 && push.overlap > YIELD_OVERLAP) {
-        Resistance::Drives
-    } else if along < 0.0 && push.overlap > hold {
-        Resistance::Holds
-    } else {
-        Resistance::None
-    }
-}
-
-/// The smooth profile: 0 at 0, 1 at `total`, with velocity 0 at both ends.
-fn smoothstep(done: u32, total: u32) -> f64 {
-    let x = f64::from(done) / f64::from(total);
-    x * x * (3.0 - 2.0 * x)
-}
-
 #[cfg(test)]
 #[expect(clippy::float_cmp, reason = "these results are exact")]
 mod tests {
     use super::*;
+    use crate::sim::travel::travel;
     use crate::sim::world::Solver;
 
     const SUBSTEPS: u32 = 48;
@@ -424,6 +387,11 @@ mod tests {
         (world, wire)
     }
 
+    fn go(instrument: &mut Instrument, world: &mut World, end: Posture) -> f64 {
+        let [reached] = travel([instrument], world, [end], SUBSTEPS);
+        reached
+    }
+
     #[test]
     fn jaws_point_along_z_and_reach_to_the_tip() {
         let posture = down([0.0; 3]);
@@ -446,7 +414,7 @@ mod tests {
             let before = world.pose(wire);
             let mut instrument = Instrument::insert(&mut world, down([0.0, 0.0, 0.05]), squeeze);
             let end = down([0.01, 0.0, 0.04]);
-            assert_eq!(instrument.travel(&mut world, end, SUBSTEPS), 1.0);
+            assert_eq!(go(&mut instrument, &mut world, end), 1.0);
             assert_eq!(*instrument.posture(), end);
             assert!(world.at_rest());
             assert_eq!(world.pose(wire), before);
@@ -460,7 +428,7 @@ mod tests {
             let mut instrument =
                 Instrument::insert(&mut world, down([-0.008, 0.0, 0.1e-3]), squeeze);
             let end = down([0.002, 0.0, 0.1e-3]);
-            assert!(instrument.travel(&mut world, end, SUBSTEPS) > 0.95);
+            assert!(go(&mut instrument, &mut world, end) > 0.95);
             // The finger's flank is 0.9 mm from the tip's middle, the wire's axis 0.5 mm further.
             let pushed = world.pose(wire).translation.vector;
             let tip = instrument.posture().world_from_tip().translation.x;
@@ -476,7 +444,7 @@ mod tests {
             let mut instrument = Instrument::insert(&mut world, down([0.0, 0.0, 5e-3]), squeeze);
             let mut fastest: f64 = 0.0;
             for _ in 0..10 {
-                let reached = instrument.travel(&mut world, down([0.0, 0.0, CLEARANCE]), SUBSTEPS);
+                let reached = go(&mut instrument, &mut world, down([0.0, 0.0, CLEARANCE]));
                 assert!(reached < 1.0);
                 fastest = fastest.max(world.velocity(wire).norm());
             }
@@ -486,16 +454,7 @@ mod tests {
             assert!(tip > 0.5e-3 && tip < 1.2e-3, "{tip}");
             assert!(fastest < 0.5, "{fastest}");
             // It is free to leave.
-            assert_eq!(instrument.travel(&mut world, down([0.0, 0.0, 5e-3]), SUBSTEPS), 1.0);
+            assert_eq!(go(&mut instrument, &mut world, down([0.0, 0.0, 5e-3])), 1.0);
         }
-    }
-
-    #[test]
-    fn motion_is_smooth() {
-        let speeds: Vec<f64> = (0..48).map(|i| smoothstep(i + 1, 48) - smoothstep(i, 48)).collect();
-        assert!(speeds[0] < 0.1 / 48.0 * 2.0 && speeds[47] < 0.1 / 48.0 * 2.0);
-        let jump = speeds.windows(2).map(|pair| (pair[1] - pair[0]).abs()).fold(0.0, f64::max);
-        assert!(jump < 0.15 / 48.0);
-        assert_eq!(smoothstep(48, 48), 1.0);
     }
 }

@@ -4,12 +4,16 @@
 //! |---|---|
 //! | [`frames`] | poses, Euler angles, boxes; conversion to the engine's numbers |
 //! | [`world`] | bodies, gravity, contacts, time |
-//! | [`instrument`] | wrist and jaws of an arm as bodies: smooth motion, yield, quiescence |
+//! | [`instrument`] | wrist and jaws of an arm as bodies |
+//! | [`travel`] | how instruments move: smooth paths, yield, quiescence |
+//! | [`grasp`] | what holds an object in the jaws: friction, or a tie |
 //! | [`random`] | the named, portable generator of every episode |
 //!
 //! Everything outside is in SI units and in f64.
 
 pub mod frames;
+pub mod grasp;
 pub mod instrument;
 pub mod random;
+pub mod travel;
 pub mod world;

@@ -27,6 +27,13 @@ impl Rng {
         rng
     }
 
+    /// The generator with which the `index`-th prepared start is made, the same for every seed.
+    pub fn start(index: u64) -> Self {
+        let mut rng = Self::new(index, 0);
+        rng.0.set_stream(2);
+        rng
+    }
+
     /// Uniform in [0, 1), a multiple of 2⁻⁵³.
     pub fn unit(&mut self) -> f64 {
         (self.0.next_u64() >> 11) as f64 * (1.0 / (1u64 << 53) as f64)

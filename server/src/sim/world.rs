@@ -3,8 +3,11 @@
 //! The engine computes lengths scaled by [`frames`](super::frames)' factor. Gravity, masses and
 //! forces scale with it, so the motion is the real one; every number in this interface is SI.
 
+use std::f64::consts::PI;
+
 use nalgebra::{Point3, Vector3};
 use rapier3d::dynamics::SpringCoefficients;
+use rapier3d::parry::query;
 use rapier3d::prelude::{
     BroadPhaseBvh, CCDSolver, ColliderBuilder, ColliderHandle, ColliderSet, ContactPair,
     FrictionModel, ImpulseJointSet, IntegrationParameters, IslandManager, MultibodyJointSet,
@@ -14,8 +17,10 @@ use rapier3d::prelude::{
 use super::frames::{self, Aabb, Pose, SCALE};
 
 mod hinge;
+mod tie;
 
 pub use hinge::{Hinge, HingedId};
+pub use tie::TieId;
 
 /// Acceleration of free fall, m/s².
 pub const GRAVITY: f64 = 9.81;
@@ -55,6 +60,18 @@ pub enum Shape {
     },
 }
 
+impl Shape {
+    /// Its volume, m³.
+    fn volume(&self) -> f64 {
+        match self {
+            Self::Cuboid(half) => 8.0 * half.x * half.y * half.z,
+            Self::Capsule { a, b, radius } => {
+                PI * radius * radius * ((b - a).norm() + 4.0 / 3.0 * radius)
+            }
+        }
+    }
+}
+
 /// One part of a body.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Part {
@@ -89,7 +106,7 @@ pub enum Motion {
     Driven,
     /// Forces.
     Free {
-        /// Mass, kg, shared equally by the parts.
+        /// Mass, kg, shared by the parts by their volume.
         mass: f64,
     },
 }
@@ -107,9 +124,32 @@ pub struct Push {
     pub strongest: f64,
     /// Where that is; the origin where nothing touches.
     pub point: Point3<f64>,
-    /// Deepest overlap of an object that touches, m; that with the bodies asked for does not count
-    /// where it squeezes the object from two sides.
-    pub overlap: f64,
+    /// Deepest overlap of an object that touches; that with the bodies asked for does not count where
+    /// they squeeze the object from two sides.
+    pub overlap: Overlap,
+}
+
+/// Where something overlaps with what is in its way.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Overlap {
+    /// How deep, m.
+    pub depth: f64,
+    /// Where.
+    pub point: Point3<f64>,
+    /// The direction into what is in the way.
+    pub into: Vector3<f64>,
+}
+
+impl Overlap {
+    /// Nothing overlaps.
+    pub const NONE: Self =
+        Self { depth: 0.0, point: Point3::new(0.0, 0.0, 0.0), into: Vector3::new(0.0, 0.0, 0.0) };
+
+    /// The deeper of two.
+    #[must_use]
+    pub fn or(self, other: Self) -> Self {
+        if other.depth > self.depth { other } else { self }
+    }
 }
 
 impl Push {
@@ -118,7 +158,7 @@ impl Push {
         force: Vector3::new(0.0, 0.0, 0.0),
         strongest: 0.0,
         point: Point3::new(0.0, 0.0, 0.0),
-        overlap: 0.0,
+        overlap: Overlap::NONE,
     };
 
     /// What two bodies feel together.
@@ -127,7 +167,7 @@ impl Push {
         let stronger = if other.strongest > self.strongest { other } else { self };
         Self {
             force: self.force + other.force,
-            overlap: self.overlap.max(other.overlap),
+            overlap: self.overlap.or(other.overlap),
             ..stronger
         }
     }
@@ -147,6 +187,8 @@ pub struct World {
     multibody_joints: MultibodyJointSet,
     soft_bodies: SoftBodySet,
     free: Vec<RigidBodyHandle>,
+    /// Greatest speed of a free object in any substep, engine units.
+    fastest: f32,
     fixed: Vec<RigidBodyHandle>,
     workspace: Workspace,
 }
@@ -177,6 +219,7 @@ impl World {
             contact_softness: softness,
             static_contact_softness: softness,
             friction_model: FrictionModel::Simplified,
+            normalized_max_corrective_velocity: (RECOVERY_SPEED / LENGTH_UNIT) as f32,
             friction_in_bias_pass: false,
             warmstart_joints: false,
             contact_recycling: true,
@@ -196,6 +239,7 @@ impl World {
             multibody_joints: MultibodyJointSet::new(),
             soft_bodies: SoftBodySet::new(),
             free: Vec::new(),
+            fastest: 0.0,
             fixed: Vec::new(),
             workspace: Workspace::default(),
         }
@@ -209,18 +253,20 @@ impl World {
         friction: f64,
         parts: &[Part],
     ) -> BodyId {
-        let (builder, part_mass) = match motion {
+        let (builder, density) = match motion {
             Motion::Fixed => (RigidBodyBuilder::fixed(), 0.0),
             Motion::Driven => (RigidBodyBuilder::kinematic_position_based(), 0.0),
             Motion::Free { mass } => {
-                (RigidBodyBuilder::dynamic().sleeping(true), mass / parts.len() as f64)
+                let volume: f64 = parts.iter().map(|part| part.shape.volume()).sum();
+                (RigidBodyBuilder::dynamic().sleeping(true), mass / volume)
             }
         };
         let body = self.bodies.insert(builder.pose(frames::to_engine(world_from_body)));
         for part in parts {
+            let mass = density * part.shape.volume();
             let collider = collider(&part.shape)
                 .position(frames::to_engine(&part.body_from_part))
-                .mass((part_mass * SCALE * SCALE * SCALE) as f32)
+                .mass((mass * SCALE * SCALE * SCALE) as f32)
                 .friction(friction as f32);
             self.colliders.insert_with_parent(collider, body, &mut self.bodies);
         }
@@ -235,6 +281,13 @@ impl World {
     /// Sets where a body is, at once; it must lie at rest there if it is free.
     pub fn place(&mut self, body: BodyId, world_from_body: &Pose) {
         self.bodies[body.0].set_position(frames::to_engine(world_from_body), false);
+    }
+
+    /// Sets the friction coefficient of all parts of a body.
+    pub fn set_friction(&mut self, body: BodyId, friction: f64) {
+        for handle in self.bodies[body.0].colliders() {
+            self.colliders[*handle].set_friction(friction as f32);
+        }
     }
 
     /// Wakes a free body that would otherwise stay where it is.
@@ -264,6 +317,9 @@ impl World {
             &(),
             &(),
         );
+        for body in &self.free {
+            self.fastest = self.fastest.max(self.bodies[*body].linvel().length());
+        }
     }
 
     /// Where a body is.
@@ -271,9 +327,47 @@ impl World {
         frames::from_engine(self.bodies[body.0].position())
     }
 
+    /// How far a point is from the surface of a body, m; 0 inside.
+    pub fn distance(&self, body: BodyId, point: &Point3<f64>) -> f64 {
+        let point = frames::to_engine_vector(&point.coords);
+        let body = &self.bodies[body.0];
+        let parts = body.colliders().iter().map(|handle| {
+            let collider = &self.colliders[*handle];
+            let body_from_part =
+                collider.position_wrt_parent().expect("every collider belongs to a body");
+            let pose = *body.position() * *body_from_part;
+            f64::from(collider.shape().distance_to_point(&pose, point, true)) / SCALE
+        });
+        parts.fold(f64::INFINITY, f64::min)
+    }
+
     /// Velocity of a body's centre of mass, m/s.
     pub fn velocity(&self, body: BodyId) -> Vector3<f64> {
         frames::from_engine_vector(self.bodies[body.0].linvel())
+    }
+
+    /// The free objects, in the order in which they were put into the world.
+    pub fn objects(&self) -> impl Iterator<Item = BodyId> {
+        self.free.iter().map(|body| BodyId(*body))
+    }
+
+    /// Greatest speed of the centre of mass of any free object in all substeps so far, m/s.
+    pub fn fastest(&self) -> f64 {
+        f64::from(self.fastest) / SCALE
+    }
+
+    /// Deepest overlap of a free object with anything now, m: how far they would have to move apart.
+    pub fn deepest_overlap(&self) -> f64 {
+        let parts = self.free.iter().flat_map(|body| self.bodies[*body].colliders());
+        let pairs = parts.flat_map(|part| self.narrow_phase.contact_pairs_with(*part));
+        let overlap = |pair: &ContactPair| {
+            let [one, other] = [pair.collider1, pair.collider2].map(|part| &self.colliders[part]);
+            // Shapes between which the engine knows no contact do not overlap either.
+            let contact =
+                query::contact(one.position(), one.shape(), other.position(), other.shape(), 0.0);
+            contact.ok().flatten().map_or(0.0, |contact| -f64::from(contact.dist) / SCALE)
+        };
+        pairs.map(overlap).fold(0.0, f64::max)
     }
 
     /// Whether every free object sleeps: then nothing changes until something touches one.
@@ -306,7 +400,8 @@ impl World {
         })
     }
 
-    /// What the rest of the world did in the last substep to bodies of one instrument, taken as one.
+    /// What the rest of the world did in the last substep to bodies of one instrument, taken as one:
+    /// what they do to each other does not count.
     pub fn push_on(&self, instrument: &[BodyId]) -> Push {
         // An engine force is SCALE³ (mass) · SCALE (length) of the real one.
         let newtons = SUBSTEPS_PER_SECOND / (SCALE * SCALE * SCALE);
@@ -316,6 +411,11 @@ impl World {
             for pair in self.narrow_phase.contact_pairs_with(*handle) {
                 // Contact normals point from the first collider to the second.
                 let first = pair.collider1 == *handle;
+                let met = if first { pair.collider2 } else { pair.collider1 };
+                let owner = self.colliders[met].parent();
+                if instrument.iter().any(|body| Some(body.0) == owner) {
+                    continue;
+                }
                 let sign = if first { -newtons } else { newtons };
                 let mut touches = false;
                 for manifold in pair.manifolds() {
@@ -333,8 +433,7 @@ impl World {
                     }
                 }
                 if touches {
-                    let object = if first { pair.collider2 } else { pair.collider1 };
-                    push.overlap = push.overlap.max(self.overlap_of(object, instrument));
+                    push.overlap = push.overlap.or(self.overlap_of(met, instrument));
                 }
             }
         }
@@ -356,22 +455,44 @@ impl World {
         })
     }
 
-    /// Deepest overlap of any part of the body that `part` belongs to, m; without that with the
-    /// bodies of `instrument` where these squeeze it.
-    fn overlap_of(&self, part: ColliderHandle, instrument: &[BodyId]) -> f64 {
+    /// Deepest overlap of any part of the body that `part` belongs to; without that with the bodies of
+    /// `instrument` where these squeeze it.
+    fn overlap_of(&self, part: ColliderHandle, instrument: &[BodyId]) -> Overlap {
         let body = self.colliders[part].parent().expect("every collider belongs to a body");
         let touching = instrument.iter().filter(|each| self.touch(**each, BodyId(body)));
         let is_squeezed = touching.count() > 1;
         let is_instruments = |part: ColliderHandle| {
             let parent = self.colliders[part].parent();
-            is_squeezed && instrument.iter().any(|body| Some(body.0) == parent)
+            instrument.iter().any(|body| Some(body.0) == parent)
         };
-        let parts = self.bodies[body].colliders().iter();
-        let pairs = parts.flat_map(|part| self.narrow_phase.contact_pairs_with(*part));
-        let pairs =
-            pairs.filter(|pair| !is_instruments(pair.collider1) && !is_instruments(pair.collider2));
-        let contacts = pairs.flat_map(ContactPair::manifolds).flat_map(|each| &each.points);
-        contacts.fold(0.0, |deepest, contact| deepest.max(-f64::from(contact.dist) / SCALE))
+        let mut deepest = Overlap::NONE;
+        for part in self.bodies[body].colliders() {
+            for pair in self.narrow_phase.contact_pairs_with(*part) {
+                let first = pair.collider1 == *part;
+                let other = if first { pair.collider2 } else { pair.collider1 };
+                let by_instrument = is_instruments(other);
+                if by_instrument && is_squeezed {
+                    continue;
+                }
+                // Normals point from the first collider to the second. What moves is the instrument, and
+                // the object with it.
+                let sign = if first == by_instrument { -1.0 } else { 1.0 };
+                let at = self.colliders[*part].position();
+                for manifold in pair.manifolds() {
+                    for contact in &manifold.points {
+                        let depth = -f64::from(contact.dist) / SCALE;
+                        if depth > deepest.depth {
+                            let local = if first { contact.local_p1 } else { contact.local_p2 };
+                            let point =
+                                frames::from_engine_vector(at.transform_point(local)).into();
+                            let normal = frames::from_engine_vector(manifold.data.normal);
+                            deepest = Overlap { depth, point, into: normal * (sign * SCALE) };
+                        }
+                    }
+                }
+            }
+        }
+        deepest
     }
 
     /// Positions and velocities of all free objects, as bits.
@@ -399,6 +520,11 @@ impl World {
 
 /// Damping ratio of contacts: above 1, since they must not bounce.
 const CONTACT_DAMPING: f32 = 5.0;
+
+/// Speed with which overlaps are undone, m/s. What is far below it (the engine's 0.03 m/s) makes
+/// contacts give in: they push no harder however deep the overlap, and jaws sink into the wire that
+/// they hold.
+const RECOVERY_SPEED: f64 = 0.5;
 
 /// Size of what is simulated, m: the engine's tolerances are fractions of it.
 const LENGTH_UNIT: f64 = 0.01;

@@ -75,7 +75,7 @@ use trocar_proto::spec::{GoalSpec, OptionSpec};
 use trocar_proto::{Options, Rejection, TaskSpec};
 
 use super::Task;
-use super::ecm_scene::{EcmArm, SECONDS_PER_STEP, STEP_LENGTH};
+use super::ecm_scene::{Control, EcmArm, SECONDS_PER_STEP, STEP_LENGTH};
 use super::options::{self, Preset};
 use crate::sim::frames::Aabb;
 use crate::sim::random::Rng;
@@ -119,7 +119,10 @@ impl Task for EcmReach {
     }
 
     fn new(options: &Options) -> Result<(Self, World), Rejection> {
-        let arm = EcmArm::new(options, START)?;
+        let mut arm = EcmArm::new(options, Control::Position)?;
+        if !arm.start_at(&START.into()) {
+            return Err(options::refuse_setup(options, "the arm must reach its start"));
+        }
         if !GOALS.corners().all(|corner| arm.reaches(&corner.coords)) {
             let why = "the arm must reach the corners of the goals' box within its joint limits";
             return Err(options::refuse_setup(options, why));
@@ -181,7 +184,7 @@ impl Task for EcmReach {
         let camera = self.arm.world_from_camera().translation.vector;
         let error = self.arm.in_rcm(&(self.goal - camera)) / STEP_LENGTH;
         let step = error * (EXPERT_SPEED * STEP_LENGTH / error.amax().max(1.0));
-        self.arm.encode(&step, action);
+        self.arm.encode(&step, 0.0, action);
     }
 }
 

@@ -8,21 +8,41 @@
 //! # Actions
 //!
 //! Every action moves from the pose that the joint sensors report. A position that the arm cannot
-//! take within its joint limits is not taken: the arm stays where it is for that step.
+//! take within its joint limits is not taken: the arm stays where it is for that step. Where joints
+//! are commanded, each stops at its limit.
 //!
 //! | `action` | numbers (1.0 stands for) |
 //! |---|---|
-//! | `paper` | dx, dy, dz in the RCM frame (10 mm); the roll joint stays |
-//! | `cartesian` | the same and the roll joint's increment (3°) |
+//! | `paper`, [`Control::Position`] | dx, dy, dz in the RCM frame (10 mm); the roll joint stays |
+//! | `paper`, [`Control::Roll`] | the roll joint's increment (3°) |
+//! | `paper`, [`Control::Velocity`] | vx, vy, vz of the camera in its image axes (5 mm/s), see below |
+//! | `cartesian` | dx, dy, dz in the RCM frame (10 mm) and the roll joint's increment (3°) |
 //! | `cartesian_abs` | x, y, z within the box of positions, roll joint (90°); a step goes at most 10 mm along each axis and 3° towards it |
 //! | `joint` | yaw, pitch (0.06 rad), insertion (10 mm), roll (3°) |
+//!
+//! # Camera velocity
+//!
+//! The velocity v = (right, down, forward) is that of a point d = 20 mm ahead of the lens, relative
+//! to it across the optical axis: it asks for the turns ω_down = v_right / d and
+//! ω_right = −v_down / d about the image axes, and v_forward is the speed of the lens itself. So 1.0
+//! across turns the camera by 25 mrad a step, and 1.0 forward brings it on by 0.5 mm.
+//!
+//! The turn about the optical axis is not commanded but follows a law that drives the
+//! [misorientation](super::camera::misorientation) θ* to zero: ω_forward = θ* / 0.1 s, so that one
+//! step takes it away, but at most 3° in a step. θ* is that of the pose that the joint sensors
+//! report.
+//!
+//! The joints' rates are those whose twist of the camera, (v, ω) in m/s and rad/s, comes nearest to
+//! (0, 0, v_forward, ω_right, ω_down, ω_forward) in least squares: the pseudo-inverse of the 6 × 4
+//! Jacobian. Source: the original.
 
 use std::f64::consts::{FRAC_PI_2, PI};
 
-use nalgebra::{Point3, UnitQuaternion, Vector3};
+use nalgebra::{Point3, UnitQuaternion, Vector3, Vector6};
 use trocar_proto::spec::{Element, RowSpec};
 use trocar_proto::{Options, Rejection};
 
+use super::camera;
 use super::options::{self, ActionMode, Preset, Range};
 use crate::robots::Ecm;
 use crate::sim::frames::{self, Aabb, Pose};
@@ -37,6 +57,16 @@ pub const STEP_LENGTH: f64 = 0.01;
 /// Roll that 1.0 in an action stands for, rad. Source: the original.
 pub const STEP_ROLL: f64 = 3.0 * PI / 180.0;
 
+/// Camera velocity that 1.0 in an action stands for, m/s. Source: the original's 0.01, with which
+/// it moves the joints for 0.05 s a step.
+const CAMERA_SPEED: f64 = 0.005;
+
+/// How far ahead of the lens the point is whose velocity an action sets, m. Source: the original.
+const TIP_OFFSET: f64 = 0.02;
+
+/// Turn across the optical axis that 1.0 in a camera velocity makes in a step, rad.
+pub const STEP_TURN: f64 = CAMERA_SPEED / TIP_OFFSET * SECONDS_PER_STEP;
+
 /// Joint movements that 1.0 stands for, rad; index 2 in m.
 const JOINT_STEPS: [f64; 4] = [0.06, 0.06, 0.01, STEP_ROLL];
 
@@ -50,12 +80,26 @@ const BASE_FROM_RCM: [f64; 3] = [0.6126, 0.0, 0.1016];
 /// Positions of the camera, m, RCM frame: a box around all that the arm can take.
 const POSITIONS: Aabb = Aabb::new([-0.26, -0.26, -0.26], [0.26, 0.26, 0.26]);
 
+/// What `action = "paper"` commands.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Control {
+    /// Increments of the camera's position.
+    Position,
+    /// Increments of the roll joint.
+    Roll,
+    /// The camera's velocity.
+    Velocity,
+}
+
 /// An ECM.
 #[derive(Debug, Clone)]
 pub struct EcmArm {
     kinematics: Ecm,
+    control: Control,
     world_from_rcm: Pose,
     world_from_nominal: Pose,
+    /// The camera of the nominal arm with all joints at 0: its view is the natural line of sight.
+    world_from_reference: Pose,
     start: [f64; 4],
     mode: ActionMode,
     preset: Preset,
@@ -80,16 +124,19 @@ impl EcmArm {
         }]
     }
 
-    /// An arm whose camera starts at `start` (m, world frame), roll 0.
-    pub fn new(options: &Options, start: [f64; 3]) -> Result<Self, Rejection> {
+    /// An arm; where it starts is still to be said.
+    pub fn new(options: &Options, control: Control) -> Result<Self, Rejection> {
         let base = match options.row("setup", "base") {
             Some(&[x, y, z, pitch]) => [x, y, z, pitch],
             _ => BASE,
         };
-        let mut arm = Self {
-            kinematics: Ecm::CLASSIC,
+        let (kinematics, world_from_nominal) = (Ecm::CLASSIC, world_from_rcm(BASE));
+        Ok(Self {
+            kinematics,
+            control,
             world_from_rcm: world_from_rcm(base),
-            world_from_nominal: world_from_rcm(BASE),
+            world_from_nominal,
+            world_from_reference: world_from_nominal * kinematics.base_from_camera(&[0.0; 4]),
             start: [0.0; 4],
             mode: options::action_of(options),
             preset: options::preset_of(options),
@@ -97,12 +144,15 @@ impl EcmArm {
             joints: [0.0; 4],
             offsets: [0.0; 4],
             rcm_from_camera: Pose::identity(),
-        };
-        arm.start = arm
-            .joints_at(&start.into())
-            .ok_or_else(|| options::refuse_setup(options, "the arm must reach its start"))?;
-        arm.joints = arm.start;
-        Ok(arm)
+        })
+    }
+
+    /// Lets episodes start with the camera at `position` (m, world frame), roll 0; false where the
+    /// arm cannot be there.
+    pub fn start_at(&mut self, position: &Vector3<f64>) -> bool {
+        let Some([yaw, pitch, insertion, _]) = self.joints_at(position) else { return false };
+        self.start = [yaw, pitch, insertion, 0.0];
+        true
     }
 
     /// Whether the camera can be at `position` (m, world frame).
@@ -117,6 +167,35 @@ impl EcmArm {
         }
         self.joints = self.start;
         self.rcm_from_camera = self.sensed(&self.joints);
+    }
+
+    /// Lets episodes start with these joints, rad; index 2 in m.
+    pub fn start_with(&mut self, joints: &[f64; 4]) {
+        self.start = *joints;
+    }
+
+    /// Whether the camera looks at the ground in front of the natural line of sight's camera at the
+    /// start, so that its misorientation means something there.
+    pub fn starts_comparable(&self) -> bool {
+        let camera = self.world_from_rcm * self.kinematics.base_from_camera(&self.start);
+        camera::comparable(&self.world_from_reference, &camera)
+    }
+
+    /// The true misorientation, rad.
+    pub fn misorientation(&self) -> f64 {
+        camera::misorientation(&self.world_from_reference, &self.world_from_camera())
+    }
+
+    /// The misorientation that the joint sensors report, rad.
+    pub fn sensed_misorientation(&self) -> f64 {
+        let world_from_camera = self.world_from_nominal * self.rcm_from_camera;
+        camera::misorientation(&self.world_from_reference, &world_from_camera)
+    }
+
+    /// What the roll joint may turn on by, rad: least and most.
+    pub fn roll_left(&self) -> [f64; 2] {
+        let limit = &self.kinematics.limits()[3];
+        [limit.min - self.joints[3], limit.max - self.joints[3]]
     }
 
     /// The true camera, world frame.
@@ -139,19 +218,22 @@ impl EcmArm {
         }
     }
 
-    /// The action that moves the sensed camera by `step` (m, RCM frame) and keeps its roll.
-    pub fn encode(&self, step: &Vector3<f64>, action: &mut [f32]) {
+    /// The action that moves the sensed camera by `step` (m, RCM frame) and the roll joint by
+    /// `turn` (rad), as far as its mode can.
+    pub fn encode(&self, step: &Vector3<f64>, turn: f64, action: &mut [f32]) {
         let d = step / STEP_LENGTH;
-        let numbers = match self.mode {
-            ActionMode::Paper | ActionMode::Cartesian => [d.x, d.y, d.z, 0.0],
-            ActionMode::CartesianAbs => {
+        let roll = turn / STEP_ROLL;
+        let numbers = match (self.mode, self.control) {
+            (ActionMode::Paper, Control::Roll) => [roll, 0.0, 0.0, 0.0],
+            (ActionMode::Paper | ActionMode::Cartesian, _) => [d.x, d.y, d.z, roll],
+            (ActionMode::CartesianAbs, _) => {
                 let half = (POSITIONS.max - POSITIONS.min) * 0.5;
                 let target = self.rcm_from_camera.translation.vector + step;
                 let p = (target - POSITIONS.centre()).component_div(&half);
-                [p.x, p.y, p.z, self.joints[3] / FRAC_PI_2]
+                [p.x, p.y, p.z, (self.joints[3] + turn) / FRAC_PI_2]
             }
-            ActionMode::Joint => {
-                let joints = self.moved(step, self.joints[3]).unwrap_or(self.joints);
+            (ActionMode::Joint, _) => {
+                let joints = self.moved(step, self.joints[3] + turn).unwrap_or(self.joints);
                 std::array::from_fn(|joint| {
                     (joints[joint] - self.joints[joint]) / JOINT_STEPS[joint]
                 })
@@ -162,15 +244,31 @@ impl EcmArm {
         }
     }
 
+    /// The action that gives the camera a velocity: parts of [`CAMERA_SPEED`] along its image axes.
+    /// Other modes than `paper` get what moves the joints as much.
+    pub fn encode_velocity(&self, velocity: &Vector3<f64>, action: &mut [f32]) {
+        if self.mode == ActionMode::Paper {
+            for (number, value) in action.iter_mut().zip(velocity.iter()) {
+                *number = (value * self.velocity_sign()) as f32;
+            }
+            return;
+        }
+        let joints = self.steered(velocity);
+        let to = self.sensed(&joints).translation.vector;
+        let step = to - self.rcm_from_camera.translation.vector;
+        self.encode(&step, joints[3] - self.joints[3], action);
+    }
+
     /// The elements of an action.
     pub fn action_elements(&self) -> Vec<Element> {
-        let names: &[&str] = match self.mode {
-            ActionMode::Paper => &["dx", "dy", "dz"],
-            ActionMode::Cartesian => &["dx", "dy", "dz", "roll joint increment"],
-            ActionMode::CartesianAbs => &["x", "y", "z", "roll joint"],
-            ActionMode::Joint => &["yaw", "pitch", "insertion", "roll"],
+        let (frame, names): (_, &[&str]) = match (self.mode, self.control) {
+            (ActionMode::Paper, Control::Position) => ("rcm", &["dx", "dy", "dz"]),
+            (ActionMode::Paper, Control::Roll) => ("joint", &["roll joint increment"]),
+            (ActionMode::Paper, Control::Velocity) => ("camera image", &["vx", "vy", "vz"]),
+            (ActionMode::Cartesian, _) => ("rcm", &["dx", "dy", "dz", "roll joint increment"]),
+            (ActionMode::CartesianAbs, _) => ("rcm", &["x", "y", "z", "roll joint"]),
+            (ActionMode::Joint, _) => ("joint", &["yaw", "pitch", "insertion", "roll"]),
         };
-        let frame = if self.mode == ActionMode::Joint { "joint" } else { "rcm" };
         names.iter().map(|name| options::action_element(name, frame)).collect()
     }
 
@@ -185,24 +283,42 @@ impl EcmArm {
     /// Writes what is observed of the arm: camera position (3) and extrinsic XYZ Euler angles (3)
     /// in the RCM frame.
     pub fn observe(&self, observation: &mut [f32]) {
-        let axes = match self.preset {
-            Preset::Paper => self.rcm_from_camera.rotation * half_turn(),
-            Preset::Surrol => self.rcm_from_camera.rotation,
-        };
-        let angles = frames::euler_xyz(&axes);
+        let angles = self.angles(&self.rcm_from_camera.rotation);
         let numbers = self.rcm_from_camera.translation.vector.iter().chain(&angles);
         for (slot, number) in observation.iter_mut().zip(numbers) {
             *slot = *number as f32;
         }
     }
 
+    /// The sensed camera's extrinsic XYZ Euler angles in the world, rad.
+    pub fn angles_in_world(&self) -> [f64; 3] {
+        self.angles(&(self.world_from_nominal.rotation * self.rcm_from_camera.rotation))
+    }
+
+    fn angles(&self, rotation: &UnitQuaternion<f64>) -> [f64; 3] {
+        match self.preset {
+            Preset::Paper => frames::euler_xyz(&(rotation * half_turn())),
+            Preset::Surrol => frames::euler_xyz(rotation),
+        }
+    }
+
     fn decode(&self, action: &[f32]) -> Option<[f64; 4]> {
-        let number = |index: usize| f64::from(action[index]);
+        let number = |index: usize| f64::from(action.get(index).copied().unwrap_or_default());
         let vector = Vector3::new(number(0), number(1), number(2));
         let limits = self.kinematics.limits();
         let roll_to = |roll: f64| roll.clamp(limits[3].min, limits[3].max);
         let roll = self.joints[3];
-        match self.mode {
+        let mode = match (self.mode, self.control) {
+            (ActionMode::Paper, Control::Roll) => {
+                let [yaw, pitch, insertion, roll] = self.joints;
+                return Some([yaw, pitch, insertion, roll_to(roll + number(0) * STEP_ROLL)]);
+            }
+            (ActionMode::Paper, Control::Velocity) => {
+                return Some(self.steered(&(vector * self.velocity_sign())));
+            }
+            (mode, _) => mode,
+        };
+        match mode {
             ActionMode::Paper => self.moved(&(vector * STEP_LENGTH), roll),
             ActionMode::Cartesian => {
                 self.moved(&(vector * STEP_LENGTH), roll_to(roll + number(3) * STEP_ROLL))
@@ -220,6 +336,32 @@ impl EcmArm {
                 wanted.clamp(limits[joint].min, limits[joint].max)
             })),
         }
+    }
+
+    /// What the camera's velocity is multiplied by in an action: the original's control law has the
+    /// opposite sign, which its expert and whoever learnt from it make up for.
+    fn velocity_sign(&self) -> f64 {
+        if self.preset == Preset::Surrol { -1.0 } else { 1.0 }
+    }
+
+    /// The joints after a step with the camera's `velocity`, parts of [`CAMERA_SPEED`] along its
+    /// image axes, and the turn about the optical axis that takes the misorientation away.
+    fn steered(&self, velocity: &Vector3<f64>) -> [f64; 4] {
+        let across = velocity * STEP_TURN;
+        let forward = velocity.z * CAMERA_SPEED * SECONDS_PER_STEP;
+        let roll = self.sensed_misorientation().clamp(-STEP_ROLL, STEP_ROLL);
+        // The camera frame's x and y axes are the image axes left and up.
+        let base_from_camera = self.kinematics.base_from_camera(&self.joints).rotation;
+        let linear = base_from_camera * Vector3::new(0.0, 0.0, forward);
+        let angular = base_from_camera * Vector3::new(across.y, -across.x, roll);
+        let twist = Vector6::new(linear.x, linear.y, linear.z, angular.x, angular.y, angular.z);
+        let jacobian = self.kinematics.jacobian(&self.joints);
+        let squares = (jacobian.transpose() * jacobian)
+            .cholesky()
+            .expect("within their limits, no joint makes up for another");
+        let step = squares.solve(&(jacobian.transpose() * twist));
+        let limits = self.kinematics.limits();
+        std::array::from_fn(|joint| limits[joint].clamp(self.joints[joint] + step[joint]))
     }
 
     /// The joints that move the sensed camera by `step` (m, RCM frame), with the roll at `roll`.
@@ -242,6 +384,12 @@ impl EcmArm {
     }
 }
 
+/// The misorientation as an element of a goal or an observation.
+pub fn misorientation_element() -> Element {
+    use std::f32::consts::PI;
+    Element::new("misorientation", "camera image", "rad", -PI, PI)
+}
+
 fn world_from_rcm(base: [f64; 4]) -> Pose {
     let [x, y, z, pitch] = base;
     frames::pose([x, y, z], [0.0, pitch, 0.0]) * frames::pose(BASE_FROM_RCM, [0.0, 0.0, -FRAC_PI_2])
@@ -258,9 +406,17 @@ fn half_turn() -> UnitQuaternion<f64> {
 mod tests {
     use super::*;
 
+    /// An arm in the middle of its workspace.
+    fn arm(options: &Options, control: Control) -> EcmArm {
+        let mut arm = EcmArm::new(options, control).unwrap();
+        assert!(arm.start_at(&Vector3::new(0.5, 0.0, 0.7)));
+        arm.reset(&mut Rng::new(0, 0));
+        arm
+    }
+
     #[test]
     fn the_arm_stands_where_the_originals_does() {
-        let arm = EcmArm::new(&Options::new(), [0.5, 0.0, 0.7]).unwrap();
+        let arm = arm(&Options::new(), Control::Position);
         let rcm = arm.world_from_rcm.translation.vector;
         assert!((rcm - Vector3::new(0.53133, 0.0, 0.78409)).norm() < 1e-5);
         // The original's lens under joints (0, 0, 0.04, 0), looking down at 30° towards −x.
@@ -274,12 +430,11 @@ mod tests {
     fn every_action_mode_moves_the_camera_as_its_encoding_says() {
         for mode in ["paper", "cartesian", "cartesian_abs", "joint"] {
             let options = Options::new().with_text("action", mode);
-            let mut arm = EcmArm::new(&options, [0.5, 0.0, 0.7]).unwrap();
-            arm.reset(&mut Rng::new(0, 0));
+            let mut arm = arm(&options, Control::Position);
             let before = arm.rcm_from_camera.translation.vector;
             let step = Vector3::new(0.003, -0.004, -0.002);
             let mut action = vec![0.0; arm.action_elements().len()];
-            arm.encode(&step, &mut action);
+            arm.encode(&step, 0.0, &mut action);
             assert!(action.iter().all(|number| number.abs() <= 1.0), "{mode}: {action:?}");
             arm.apply(Some(&action));
             let off = arm.rcm_from_camera.translation.vector - before - step;
@@ -289,8 +444,7 @@ mod tests {
 
     #[test]
     fn an_unreachable_position_leaves_the_arm_where_it_is() {
-        let mut arm = EcmArm::new(&Options::new(), [0.5, 0.0, 0.7]).unwrap();
-        arm.reset(&mut Rng::new(0, 0));
+        let mut arm = arm(&Options::new(), Control::Position);
         for _ in 0..100 {
             arm.apply(Some(&[0.0, 0.0, 1.0]));
         }
@@ -301,5 +455,65 @@ mod tests {
         assert!(arm.joints.iter().zip(limits).all(|(q, l)| l.min <= *q && *q <= l.max));
         arm.apply(Some(&[0.0, 0.0, -1.0]));
         assert!(arm.joints != stopped);
+    }
+
+    #[test]
+    fn a_velocity_across_turns_the_picture_towards_it_and_keeps_it_level() {
+        for (velocity, axis) in [([1.0, 0.0, 0.0], 0), ([0.0, -1.0, 0.0], 1)] {
+            let mut arm = arm(&Options::new(), Control::Velocity);
+            let target = arm.world_from_camera() * Point3::new(0.0, 0.0, 0.9);
+            for step in 1..=10 {
+                arm.apply(Some(&velocity));
+                let seen = arm.world_from_camera().inverse_transform_point(&target);
+                // What was in the middle moves to the other side, by 25 mrad a step less what the
+                // arm makes of a turn about the lens by turning about its remote centre.
+                let image = [-seen.x / seen.z, -seen.y / seen.z];
+                let moved = -image[axis] * f64::from(velocity[axis]) / f64::from(step);
+                assert!((0.8 * STEP_TURN..1.5 * STEP_TURN).contains(&moved), "{image:?}");
+                assert!(image[1 - axis].abs() < 0.1 * image[axis].abs(), "{image:?}");
+                assert!(arm.misorientation().abs() < 5e-3, "{}", arm.misorientation());
+            }
+        }
+    }
+
+    #[test]
+    fn a_velocity_forward_brings_the_camera_on_and_takes_the_misorientation_away() {
+        let mut arm = arm(&Options::new(), Control::Velocity);
+        arm.joints[3] = 0.2;
+        arm.rcm_from_camera = arm.sensed(&arm.joints);
+        let start = arm.joints;
+        let mut before = arm.misorientation().abs();
+        for step in 1..=10 {
+            arm.apply(Some(&[0.0, 0.0, 1.0]));
+            let on = arm.joints[2] - start[2];
+            assert!((on - 0.5e-3 * f64::from(step)).abs() < 1e-9, "{on}");
+            let now = arm.misorientation().abs();
+            assert!(now < (before - 0.9 * STEP_ROLL).max(1e-3), "{step}: {now}");
+            before = now;
+        }
+    }
+
+    #[test]
+    fn joints_stop_at_their_limits_under_a_velocity() {
+        let mut rng = Rng::new(4, 0);
+        let mut arm = arm(&Options::new(), Control::Velocity);
+        for _ in 0..40 {
+            let action: [f32; 3] = std::array::from_fn(|_| rng.uniform(-1.0, 1.0).signum() as f32);
+            for _ in 0..100 {
+                arm.apply(Some(&action));
+                let limits = arm.kinematics.limits();
+                assert!(arm.joints.iter().zip(limits).all(|(q, limit)| limit.contains(*q)));
+            }
+        }
+    }
+
+    #[test]
+    fn the_originals_sign_is_the_opposite() {
+        let surrol = Options::new().with_text("preset", "surrol");
+        let [mut here, mut there] =
+            [Options::new(), surrol].map(|options| arm(&options, Control::Velocity));
+        here.apply(Some(&[0.5, -1.0, 0.25]));
+        there.apply(Some(&[-0.5, 1.0, -0.25]));
+        assert_eq!(here.joints, there.joints);
     }
 }

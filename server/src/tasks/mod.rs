@@ -3,8 +3,14 @@
 //! | task | in one line |
 //! |---|---|
 //! | [`needle_reach`] | the closed jaw tip of a PSM goes to a point just above a needle |
+//! | [`gauze_retrieve`] | a PSM picks up a gauze and brings it to a goal |
 //! | [`needle_pick`] | a PSM picks up a needle and brings it to a goal |
+//! | [`peg_transfer`] | a PSM takes a block from one peg to another |
+//! | [`needle_regrasp`] | a PSM hands a needle to the other, which brings it to a goal |
 //! | [`ecm_reach`] | the endoscope goes to a position |
+//! | [`mis_orient`] | the endoscope is rolled until its picture is level |
+//! | [`static_track`] | the endoscope centres a cube among others |
+//! | [`active_track`] | the endoscope follows a moving cube |
 //!
 //! A task of one's own implements [`Task`] and is added by [`Registry::register`].
 
@@ -12,17 +18,32 @@ use trocar_proto::spec::OptionSpec;
 use trocar_proto::{Code, Options, Rejection, TaskSpec};
 
 use crate::env::Env;
+use crate::sim::frames::Aabb;
 use crate::sim::random::Rng;
 use crate::sim::world::World;
 
+pub mod active_track;
+pub mod bimanual;
+pub mod camera;
 pub mod ecm_reach;
 pub mod ecm_scene;
+pub mod gauze;
+pub mod gauze_retrieve;
+pub mod mis_orient;
 pub mod needle_pick;
 pub mod needle_reach;
+pub mod needle_regrasp;
 pub mod objects;
 pub mod options;
+pub mod path;
+pub mod peg_board;
+pub mod peg_expert;
+pub mod peg_transfer;
 pub mod pick;
 pub mod psm_scene;
+pub mod start;
+pub mod static_track;
+pub mod track;
 pub mod tray;
 
 /// A task: what it looks like from outside, how an episode begins, what an action does, what is
@@ -42,7 +63,18 @@ pub trait Task: Clone + Send + Sync + 'static {
     /// What it looks like from outside; it never changes.
     fn spec(&self) -> TaskSpec;
 
-    /// Begins an episode in a copy of the prepared world.
+    /// Whether episodes begin in states that need physics to come about, see [`Self::prepare`].
+    fn begins_prepared(&self) -> bool {
+        false
+    }
+
+    /// Brings task and world to a state in which episodes may begin. Done rarely: episodes share a
+    /// few of these states.
+    fn prepare(&mut self, world: &mut World, rng: &mut Rng) {
+        let _ = (world, rng);
+    }
+
+    /// Begins an episode in a copy of the world, or in one of the prepared states.
     fn reset(&mut self, world: &mut World, rng: &mut Rng);
 
     /// Lets one step pass under `action`, numbers in [−1, 1]; `None` where no command has arrived
@@ -60,6 +92,11 @@ pub trait Task: Clone + Send + Sync + 'static {
 
     /// Writes what a scripted expert would do now.
     fn expert(&self, world: &World, action: &mut [f32]);
+
+    /// Where free objects are to stay, m; see [`Env::has_lost_objects`].
+    fn theatre(&self) -> Aabb {
+        objects::THEATRE
+    }
 
     /// The reward of tasks without goals; goal tasks get theirs from the goals.
     fn reward(&self, world: &World) -> f32 {
@@ -91,8 +128,14 @@ impl Registry {
     pub fn builtin() -> Self {
         let mut registry = Self::empty();
         registry.register::<needle_reach::NeedleReach>();
-        registry.register::<ecm_reach::EcmReach>();
+        registry.register::<gauze_retrieve::GauzeRetrieve>();
         registry.register::<needle_pick::NeedlePick>();
+        registry.register::<peg_transfer::PegTransfer>();
+        registry.register::<needle_regrasp::NeedleRegrasp>();
+        registry.register::<ecm_reach::EcmReach>();
+        registry.register::<mis_orient::MisOrient>();
+        registry.register::<static_track::StaticTrack>();
+        registry.register::<active_track::ActiveTrack>();
         registry
     }
 
@@ -119,14 +162,15 @@ impl Registry {
     /// The task `id` under `options`.
     pub fn spec(&self, id: &str, options: &Options) -> Result<TaskSpec, Rejection> {
         let (task, _, _) = self.build(id, options)?;
-        Ok(task.spec())
+        Ok(spec_of(task.as_ref(), options))
     }
 
     /// An environment of the task `id` under `options`; it needs a reset.
     pub fn make(&self, id: &str, options: &Options) -> Result<Env, Rejection> {
-        let (task, world, options) = self.build(id, options)?;
-        let domain = options::Domain::of(&options)?;
-        Ok(Env::new(task, world, domain, options))
+        let (task, world, resolved) = self.build(id, options)?;
+        let domain = options::Domain::of(&resolved)?;
+        let spec = spec_of(task.as_ref(), options);
+        Ok(Env::new(spec, task, world, domain, resolved))
     }
 
     fn build(
@@ -139,16 +183,24 @@ impl Registry {
             let allowed = format!("unknown task; this server knows {ids:?}");
             return Err(Rejection::new(Code::UnknownTask, "task", format!("{id:?}"), allowed));
         };
-        let allowed = (entry.options)();
-        let options = options::with_preset(options, &allowed).resolve(&allowed)?;
+        let allowed = options::under_preset((entry.options)(), options);
+        let options = options.resolve(&allowed)?;
         let (task, world) = (entry.make)(&options)?;
         Ok((task, world, options))
     }
 }
 
+/// What a task looks like; the defaults of its options are those of the preset.
+fn spec_of(task: &dyn AnyTask, options: &Options) -> TaskSpec {
+    let spec = task.spec();
+    TaskSpec { options: options::under_preset(spec.options, options), ..spec }
+}
+
 /// [`Task`] behind a pointer.
 pub(crate) trait AnyTask: Send + Sync {
     fn spec(&self) -> TaskSpec;
+    fn begins_prepared(&self) -> bool;
+    fn prepare(&mut self, world: &mut World, rng: &mut Rng);
     fn reset(&mut self, world: &mut World, rng: &mut Rng);
     fn apply(&mut self, world: &mut World, action: Option<&[f32]>);
     fn observe(
@@ -159,6 +211,7 @@ pub(crate) trait AnyTask: Send + Sync {
         desired: &mut [f32],
     );
     fn expert(&self, world: &World, action: &mut [f32]);
+    fn theatre(&self) -> Aabb;
     fn reward(&self, world: &World) -> f32;
     fn terminated(&self, world: &World) -> bool;
     fn boxed_clone(&self) -> Box<dyn AnyTask>;
@@ -167,6 +220,14 @@ pub(crate) trait AnyTask: Send + Sync {
 impl<T: Task> AnyTask for T {
     fn spec(&self) -> TaskSpec {
         Task::spec(self)
+    }
+
+    fn begins_prepared(&self) -> bool {
+        Task::begins_prepared(self)
+    }
+
+    fn prepare(&mut self, world: &mut World, rng: &mut Rng) {
+        Task::prepare(self, world, rng);
     }
 
     fn reset(&mut self, world: &mut World, rng: &mut Rng) {
@@ -189,6 +250,10 @@ impl<T: Task> AnyTask for T {
 
     fn expert(&self, world: &World, action: &mut [f32]) {
         Task::expert(self, world, action);
+    }
+
+    fn theatre(&self) -> Aabb {
+        Task::theatre(self)
     }
 
     fn reward(&self, world: &World) -> f32 {

@@ -3,8 +3,8 @@
 //! # Description
 //!
 //! A needle of 40 mm lies on a pad in a tray. PSM1 is to grasp it, lift it and bring the middle of
-//! its arc within 5 mm of a point above the pad. Fingers and needle touch by friction alone:
-//! nothing ever ties the needle to the jaws.
+//! its arc within 5 mm of a point above the pad. By default fingers and needle touch by friction
+//! alone: nothing ever ties the needle to the jaws.
 //!
 //! # Action Space
 //!
@@ -65,18 +65,23 @@
 //!
 //! `reward`, `action`, `observation`, `spawn`, and:
 //!
-//! - `grasp = "interact"`: friction alone.
+//! - `grasp`: `interact`: friction alone; `approx`: a tie between wrist and needle when jaws close
+//!   whose tip is within `grasp_distance` (0.002 m) of the wire, through which the fingers then pass;
+//!   `weld`: friction until the middle of the arc is 5 mm higher than it lay, then a tie.
+//! - `start`: `approach` (the open jaws are about the wire), `pick` (they hold it) or `lift` (as high
+//!   as its goal): one of 64 states that the expert made, with a new goal.
 //! - `preset = "surrol"`: positions, goals and tolerance in units of 0.2 m (metres × 5), needle of
-//!   10 g, gripped with 3 N instead of 1 N, `spawn = "narrow"` unless given.
-//! - `domain`: `observation_noise` (m, on observed positions), `joint_offset` (rad, on every rotary
-//!   joint), `latency` (steps; the arm holds until the first action arrives).
+//!   10 g, gripped with 3 N instead of 1 N, `spawn = "narrow"` and `grasp = "weld"` unless given.
+//! - `domain`: `friction` (coefficient of the jaws), `observation_noise` (m, on observed positions),
+//!   `joint_offset` (rad, on every rotary joint), `latency` (steps; the arm holds until the first
+//!   action arrives).
 //! - `setup`: `base` (x, y, z in m and turn in rad of the arm's base), `table_height` (m). The arm
 //!   must reach the whole workspace.
 //!
 //! # Differences from the original
 //!
 //! - The needle is held by friction from beginning to end; the original fixes it to the wrist when
-//!   it has risen by 5 mm.
+//!   it has risen by 5 mm, as `grasp = "weld"` does.
 //! - Metres instead of metres × 5; needle and goal areas follow the paper (`narrow` is the code's).
 //! - The needle weighs 0.36 g (steel) instead of 10 g and lies at rest from the first step.
 //! - dVRK's joint limits; the jaws stay above the pad instead of running into it.
@@ -96,9 +101,13 @@ use super::Task;
 use super::objects;
 use super::options::{self, Preset};
 use super::pick::{self, Pick};
-use super::psm_scene::{MAX_STEPS, PaperAction, PsmArm, SECONDS_PER_STEP, WORKSPACE};
+use super::psm_scene::{
+    self, MAX_STEPS, PaperAction, PsmArm, SECONDS_PER_STEP, Station, Turn, WORKSPACE,
+};
+use super::start::{self, Start};
 use super::tray::{self, Needle};
 use crate::sim::frames::Pose;
+use crate::sim::grasp::Grasp;
 use crate::sim::instrument::TIP_OFFSET;
 use crate::sim::random::Rng;
 use crate::sim::world::World;
@@ -107,17 +116,27 @@ use crate::sim::world::World;
 /// then as far above the pad as it may be.
 const GRASP_DEPTH: f64 = 0.45e-3;
 
+/// Height of the middle of the arc above the pad from which a tie may hold the needle under
+/// `grasp = "weld"`, m. Source: the original, which takes 5 mm from where it lay.
+const WELD_LIFT: f64 = 0.0055;
+
 /// Spread of goals under `spawn = "narrow"`, m. Source: the original.
 const GOAL_SPREAD: f64 = 0.01;
 
 /// Height of goals under `spawn = "narrow"`, m. Source: the original.
 const GOAL_HEIGHT: f64 = 0.7152;
 
+/// Height of the lowest goal over the pad, m: above the tray's rim, which a needle that is held at
+/// its middle would otherwise meet.
+const LOWEST_GOAL: f64 = 0.02;
+
 /// The task; see the module's description.
 #[derive(Debug, Clone)]
 pub struct NeedlePick {
     arm: PsmArm,
     needle: Needle,
+    grasp: Grasp,
+    start: Start,
     narrow: bool,
     preset: Preset,
     reward: Reward,
@@ -128,15 +147,18 @@ impl Task for NeedlePick {
     const ID: &'static str = "NeedlePick-v0";
 
     fn options() -> Vec<OptionSpec> {
+        let [grasp, grasp_distance] = options::grasp();
         vec![
             options::reward(),
-            options::grasp(),
+            grasp,
+            grasp_distance,
             options::action(),
             options::observation(),
             options::preset(),
             options::spawn(),
-            options::domain(),
-            options::setup(&PsmArm::setup_rows()),
+            start::option(),
+            options::grasp_domain(),
+            options::setup(&PsmArm::setup_rows(1)),
         ]
     }
 
@@ -144,11 +166,15 @@ impl Task for NeedlePick {
         let preset = options::preset_of(options);
         let mut world = tray::furnished_world(preset);
         let needle = Needle::insert(&mut world, preset);
-        let paper = PaperAction { turns: true, jaw: true };
+        let paper = PaperAction { turn: Turn::Vertical, jaw: true };
         let start = [WORKSPACE.min.x, WORKSPACE.max.y, WORKSPACE.centre().z + TIP_OFFSET];
+        let station = Station::psm1(start, tray::pad().max.z);
+        let grasp = Grasp::new(&mut world, options::grasp_of(options), needle.body());
         let task = Self {
-            arm: PsmArm::insert(&mut world, options, paper, start, tray::pad().max.z)?,
+            arm: PsmArm::insert(&mut world, options, paper, station)?,
             needle,
+            grasp,
+            start: Start::of(options),
             narrow: options.text("spawn") == Some("narrow"),
             preset,
             reward: options::reward_of(options),
@@ -173,19 +199,30 @@ impl Task for NeedlePick {
         }
     }
 
+    fn begins_prepared(&self) -> bool {
+        self.start != Start::Reset
+    }
+
+    fn prepare(&mut self, world: &mut World, rng: &mut Rng) {
+        start::bring_about(self, world, rng, Self::begin, |task, world| {
+            task.pick(world).progress(&task.arm, world) >= task.start
+        });
+    }
+
     fn reset(&mut self, world: &mut World, rng: &mut Rng) {
-        if self.narrow {
-            self.needle.lay_near_the_middle(world, rng);
-            self.goal = objects::goal_near_the_middle(GOAL_SPREAD, GOAL_HEIGHT, rng);
+        if self.begins_prepared() {
+            self.goal = self.draw_goal(rng);
         } else {
-            self.needle.lay_anywhere(world, rng);
-            self.goal = objects::goal_anywhere(rng);
+            self.begin(world, rng);
         }
-        self.arm.reset(rng);
     }
 
     fn apply(&mut self, world: &mut World, action: Option<&[f32]>) {
-        self.arm.apply(world, action);
+        let lifted = tray::pad().max.z + WELD_LIFT;
+        let needle = &self.needle;
+        psm_scene::step([&mut self.arm], world, &mut self.grasp, action, |world| {
+            needle.scene_from_middle(world).translation.z > lifted
+        });
     }
 
     fn observe(
@@ -205,13 +242,39 @@ impl Task for NeedlePick {
     }
 
     fn expert(&self, world: &World, action: &mut [f32]) {
+        self.pick(world).act(&self.arm, world, action);
+    }
+}
+
+impl NeedlePick {
+    /// Lays the needle, draws a goal, brings the arm to its start.
+    fn begin(&mut self, world: &mut World, rng: &mut Rng) {
+        if self.narrow {
+            self.needle.lay_near_the_middle(world, rng);
+        } else {
+            self.needle.lay_anywhere(world, rng);
+        }
+        self.grasp.reset(world, self.needle.body());
+        self.goal = self.draw_goal(rng);
+        self.arm.reset(world, rng);
+    }
+
+    fn draw_goal(&self, rng: &mut Rng) -> Vector3<f64> {
+        if self.narrow {
+            objects::goal_near_the_middle(GOAL_SPREAD, GOAL_HEIGHT, rng)
+        } else {
+            objects::goal_anywhere(tray::pad().max.z + LOWEST_GOAL, rng)
+        }
+    }
+
+    /// What is to be done now.
+    fn pick(&self, world: &World) -> Pick {
         let middle = self.needle.scene_from_middle(world);
         let carried = middle.translation.vector;
         let wire = middle.rotation * Vector3::y();
         let wrist = carried + Vector3::z() * (TIP_OFFSET - GRASP_DEPTH);
         let rotation = pick::jaws_across(&wire, self.arm.scene_from_wrist());
         let grasp = Pose::from_parts(wrist.into(), rotation);
-        let pick = Pick { object: self.needle.body(), grasp, carried, goal: self.goal };
-        pick.act(&self.arm, world, action);
+        Pick { object: self.needle.body(), grasp, carried, goal: self.goal }
     }
 }

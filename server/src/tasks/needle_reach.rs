@@ -85,7 +85,7 @@ use trocar_proto::{Options, Rejection, TaskSpec};
 use super::Task;
 use super::options::{self, Preset};
 use super::psm_scene::{
-    MAX_STEPS, PaperAction, PsmArm, REACH, SECONDS_PER_STEP, STEP_LENGTH, WORKSPACE,
+    MAX_STEPS, PaperAction, PsmArm, REACH, SECONDS_PER_STEP, STEP_LENGTH, Station, Turn, WORKSPACE,
 };
 use super::tray::{self, Needle};
 use crate::sim::frames::Pose;
@@ -126,7 +126,7 @@ impl Task for NeedleReach {
             options::preset(),
             options::spawn(),
             options::domain(),
-            options::setup(&PsmArm::setup_rows()),
+            options::setup(&PsmArm::setup_rows(1)),
         ]
     }
 
@@ -134,10 +134,15 @@ impl Task for NeedleReach {
         let preset = options::preset_of(options);
         let mut world = tray::furnished_world(preset);
         let needle = Needle::insert(&mut world, preset);
-        let paper = PaperAction { turns: false, jaw: false };
+        let paper = PaperAction { turn: Turn::Nothing, jaw: false };
         let start = [WORKSPACE.min.x, WORKSPACE.max.y, WORKSPACE.max.z + TIP_OFFSET];
         let task = Self {
-            arm: PsmArm::insert(&mut world, options, paper, start, tray::pad().max.z)?,
+            arm: PsmArm::insert(
+                &mut world,
+                options,
+                paper,
+                Station::psm1(start, tray::pad().max.z),
+            )?,
             needle,
             narrow: options.text("spawn") == Some("narrow"),
             preset,
@@ -175,7 +180,7 @@ impl Task for NeedleReach {
         }
         let middle = self.needle.scene_from_middle(world).translation.vector;
         self.goal = middle + Vector3::z() * GOAL_HEIGHT;
-        self.arm.reset(rng);
+        self.arm.reset(world, rng);
     }
 
     fn apply(&mut self, world: &mut World, action: Option<&[f32]>) {

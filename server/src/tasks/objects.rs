@@ -6,7 +6,6 @@ use trocar_proto::spec::{Element, GoalSpec};
 
 use super::options::{self, Preset};
 use super::psm_scene::{REACH, WORKSPACE};
-use super::tray;
 use crate::sim::frames::{self, Aabb, Pose};
 use crate::sim::random::Rng;
 
@@ -19,10 +18,6 @@ pub const THEATRE: Aabb = Aabb::new([0.292, -0.268, 0.60], [0.708, 0.268, 0.90])
 
 /// Distance below which the goal is reached, m. Source: the paper.
 pub const TOLERANCE: f64 = 0.005;
-
-/// Height of the lowest goal over the pad, m: above the tray's rim, which an object that is held at
-/// its middle would otherwise meet.
-const LOWEST_GOAL: f64 = 0.02;
 
 /// The elements of [`observe`] for the object `object` and its place to grasp `place`.
 pub fn observation_elements(object: &str, place: &str, preset: Preset) -> Vec<Element> {
@@ -66,9 +61,8 @@ pub fn write_goal(position: &Vector3<f64>, preset: Preset, values: &mut [f32]) {
     }
 }
 
-/// A goal anywhere in the workspace, above the tray's rim, m.
-pub fn goal_anywhere(rng: &mut Rng) -> Vector3<f64> {
-    let low = tray::pad().max.z + LOWEST_GOAL;
+/// A goal anywhere in the workspace from the height `low` on, m.
+pub fn goal_anywhere(low: f64, rng: &mut Rng) -> Vector3<f64> {
     let mut along = |axis: usize, low: f64| rng.uniform(low, WORKSPACE.max[axis]);
     let (x, y) = (along(0, WORKSPACE.min.x), along(1, WORKSPACE.min.y));
     Vector3::new(x, y, along(2, low))

@@ -7,6 +7,7 @@ use trocar_proto::spec::{Allowed, Element, OptionSpec, OptionValue, RowSpec};
 use trocar_proto::{Code, Options, Rejection};
 
 use crate::sim::frames::Aabb;
+use crate::sim::grasp::GraspMode;
 use crate::sim::random::Rng;
 
 /// Unit of positions under `preset = "surrol"`, which multiplies metres by 5.
@@ -29,9 +30,34 @@ pub fn reward_of(options: &Options) -> Reward {
     if options.text("reward") == Some("dense") { Reward::Dense } else { Reward::Sparse }
 }
 
-/// `grasp`: what holds an object in the jaws.
-pub fn grasp() -> OptionSpec {
-    OptionSpec::choice("grasp", "interact: friction, and nothing else.", &["interact"])
+/// `grasp` and `grasp_distance`: what holds an object in the jaws.
+pub fn grasp() -> [OptionSpec; 2] {
+    [
+        OptionSpec::choice(
+            "grasp",
+            "interact: friction, and nothing else; approx: a tie, when jaws close near the object; \
+             weld: friction until it is lifted, then a tie, as in the original.",
+            &["interact", "approx", "weld"],
+        ),
+        OptionSpec {
+            name: "grasp_distance".into(),
+            summary: "approx: from the tip to the object's surface, m.".into(),
+            default: OptionValue::Number(0.002),
+            allowed: Allowed::Range { min: 0.0, max: 0.02 },
+        },
+    ]
+}
+
+/// The grasp mode that resolved options ask for.
+pub fn grasp_of(options: &Options) -> GraspMode {
+    match options.text("grasp") {
+        Some("approx") => {
+            let distance = options.number("grasp_distance").expect("resolved options have it");
+            GraspMode::Approx { distance }
+        }
+        Some("weld") => GraspMode::Weld,
+        _ => GraspMode::Interact,
+    }
 }
 
 /// What the numbers of an action mean.
@@ -110,19 +136,19 @@ pub fn spawn() -> OptionSpec {
 }
 
 /// What a preset changes of other options' defaults: what the client gives itself counts.
-const PRESETS: [(&str, &str, &str); 1] = [("surrol", "spawn", "narrow")];
+const PRESETS: [(&str, &str, &str); 2] =
+    [("surrol", "spawn", "narrow"), ("surrol", "grasp", "weld")];
 
-/// `options` with the defaults that their preset brings, as far as the task knows them.
-pub(super) fn with_preset(options: &Options, known: &[OptionSpec]) -> Options {
-    let mut options = options.clone();
+/// What a task knows, with the defaults that the preset in `options` brings.
+pub(super) fn under_preset(mut known: Vec<OptionSpec>, options: &Options) -> Vec<OptionSpec> {
     for (preset, name, value) in PRESETS {
-        let applies = options.text("preset") == Some(preset)
-            && known.iter().any(|option| option.name == name);
-        if applies && !options.0.contains_key(name) {
-            options = options.with_text(name, value);
+        if options.text("preset") == Some(preset) {
+            for option in known.iter_mut().filter(|option| option.name == name) {
+                option.default = OptionValue::Text(value.into());
+            }
         }
     }
-    options
+    known
 }
 
 /// `setup`: where things stand; `rows` are those that apply to the task.
@@ -143,25 +169,44 @@ pub fn refuse_setup(options: &Options, why: impl Into<String>) -> Rejection {
     Rejection::new(Code::InvalidOption, "options.setup", given, why)
 }
 
+/// `domain`: ranges from which every episode of a task with objects to grasp draws.
+pub fn grasp_domain() -> OptionSpec {
+    let mut domain = domain();
+    if let Allowed::Table(rows) = &mut domain.allowed {
+        rows.insert(
+            0,
+            range_row(
+                "friction",
+                "Friction coefficient of the jaws; 1 where none is given.",
+                0.1,
+                2.0,
+            ),
+        );
+    }
+    domain
+}
+
 /// `domain`: ranges from which every episode draws.
 pub fn domain() -> OptionSpec {
-    let row = |name: &str, summary: &str, min: f64, max: f64| RowSpec {
-        name: name.into(),
-        summary: summary.into(),
-        count: 2,
-        min,
-        max,
-    };
     OptionSpec {
         name: "domain".into(),
         summary: "Ranges [low, high] from which every episode draws.".into(),
         default: OptionValue::Table(BTreeMap::new()),
         allowed: Allowed::Table(vec![
-            row("observation_noise", "Standard deviation of observed positions, m.", 0.0, 0.01),
-            row("joint_offset", "Error of each rotary joint's encoder, rad.", -0.02, 0.02),
-            row("latency", "Steps by which actions take effect late (integers).", 0.0, 10.0),
+            range_row(
+                "observation_noise",
+                "Standard deviation of observed positions, m.",
+                0.0,
+                0.01,
+            ),
+            range_row("joint_offset", "Error of each rotary joint's encoder, rad.", -0.02, 0.02),
+            range_row("latency", "Steps by which actions take effect late (integers).", 0.0, 10.0),
         ]),
     }
+}
+
+fn range_row(name: &str, summary: &str, min: f64, max: f64) -> RowSpec {
+    RowSpec { name: name.into(), summary: summary.into(), count: 2, min, max }
 }
 
 /// A range from which every episode draws; [0, 0] where none is given.
@@ -177,6 +222,11 @@ impl Range {
         rng.uniform(self.low, self.high)
     }
 
+    /// A number of the range; none where the range was not given.
+    pub fn draw_if_given(&self, rng: &mut Rng) -> Option<f64> {
+        (*self != Self::default()).then(|| self.draw(rng))
+    }
+
     /// An integer of the range, both ends included.
     pub fn draw_integer(&self, rng: &mut Rng) -> usize {
         let (low, high) = (self.low.ceil() as usize, self.high.floor() as usize);
@@ -189,6 +239,8 @@ impl Range {
 pub struct Domain {
     /// Standard deviation of observed positions, m.
     pub observation_noise: Range,
+    /// Friction coefficient of the jaws.
+    pub friction: Range,
     /// Error of each rotary joint's encoder, rad.
     pub joint_offset: Range,
     /// Steps by which actions take effect late.
@@ -210,6 +262,7 @@ impl Domain {
         };
         Ok(Self {
             observation_noise: range("observation_noise")?,
+            friction: range("friction")?,
             joint_offset: range("joint_offset")?,
             latency: range("latency")?,
         })

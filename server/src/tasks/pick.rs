@@ -6,6 +6,7 @@
 use nalgebra::{UnitQuaternion, Vector3};
 
 use super::psm_scene::{PsmArm, STEP_ANGLE, STEP_LENGTH, down};
+use super::start::Start;
 use crate::sim::frames::Pose;
 use crate::sim::instrument::{JAW_CLOSED, JAW_OPEN};
 use crate::sim::world::{BodyId, World};
@@ -49,6 +50,18 @@ impl Pick {
         arm.encode(&step_towards(arm.scene_from_wrist(), &target), jaw, action);
     }
 
+    /// How far the work is done.
+    pub fn progress(&self, arm: &PsmArm, world: &World) -> Start {
+        if arm.holds(world, self.object) {
+            let lifted = self.goal.z - self.carried.z <= LEVEL;
+            if lifted { Start::Lift } else { Start::Pick }
+        } else {
+            let off = arm.scene_from_wrist().translation.vector - self.grasp.translation.vector;
+            let about = off.norm() < ALIGNED + LOW && arm.opening(world) > OPEN;
+            if about { Start::Approach } else { Start::Reset }
+        }
+    }
+
     fn waypoint(&self, arm: &PsmArm, world: &World) -> (Pose, f64) {
         let wrist = arm.scene_from_wrist();
         let opening = arm.opening(world);
@@ -86,7 +99,7 @@ pub fn jaws_across(along: &Vector3<f64>, wrist: &Pose) -> UnitQuaternion<f64> {
 }
 
 /// As far from `now` to `target` as one step goes, along a straight line.
-fn step_towards(now: &Pose, target: &Pose) -> Pose {
+pub(super) fn step_towards(now: &Pose, target: &Pose) -> Pose {
     let step = target.translation.vector - now.translation.vector;
     let step = step / (step.amax() / STEP_LENGTH).max(1.0);
     let turn = (target.rotation * now.rotation.inverse()).scaled_axis();

@@ -14,7 +14,7 @@
 //!
 //! | `action` | numbers (1.0 stands for) |
 //! |---|---|
-//! | `paper` | dx, dy, dz (10 mm), turn about the vertical (30°), jaw (below 0 closed, else open 40°) |
+//! | `paper` | dx, dy, dz (10 mm), the task's turn, jaw (below 0 closed, else open 40°) |
 //! | `cartesian` | dx, dy, dz (10 mm), rotation vector x, y, z in the scene frame (30°), jaw (−1 closed … 1 open 40°) |
 //! | `cartesian_abs` | x, y, z within [`REACH`], rotation vector from jaws straight down (180°), jaw as before; a step goes at most 10 mm along each axis and 30° towards it |
 //! | `joint` | yaw, pitch (0.06 rad), insertion (10 mm), roll, wrist pitch, wrist yaw (30°), jaw as before |
@@ -28,8 +28,10 @@ use trocar_proto::{Options, Rejection};
 use super::options::{self, ActionMode, Preset, Range};
 use crate::robots::Psm;
 use crate::sim::frames::{self, Aabb, Pose};
+use crate::sim::grasp::Grasp;
 use crate::sim::instrument::{self, Instrument, JAW_CLOSED, JAW_OPEN, Posture, TIP_OFFSET};
 use crate::sim::random::Rng;
+use crate::sim::travel::travel;
 use crate::sim::world::{BodyId, SUBSTEPS_PER_SECOND, World};
 
 /// Simulated time of one step, s.
@@ -41,8 +43,12 @@ pub const MAX_STEPS: u32 = 50;
 /// Height of the table's top, m. Source: the original's table.
 pub const TABLE_HEIGHT: f64 = 0.675;
 
-/// Base of PSM1: position, m, and turn about the vertical, rad. Source: the original.
-const BASE_1: [f64; 4] = [0.05, 0.24, 0.8524, -110.0 * DEGREE];
+/// Bases of PSM1 and PSM2: position, m, and turn about the vertical, rad. Source: the original.
+pub const BASES: [[f64; 4]; 2] =
+    [[0.05, 0.24, 0.8524, -110.0 * DEGREE], [0.05, -0.24, 0.8524, -70.0 * DEGREE]];
+
+/// Rows of `setup` that move the bases.
+pub const BASE_ROWS: [&str; 2] = ["base", "base_2"];
 
 /// The remote centre of motion in the base, m. Source: the original's arm model.
 const BASE_FROM_RCM: [f64; 3] = [0.0, 0.4864, 0.0];
@@ -50,18 +56,34 @@ const BASE_FROM_RCM: [f64; 3] = [0.0, 0.4864, 0.0];
 /// The 10 cm workspace, for the tip of jaws that point down, m. Source: the original.
 pub const WORKSPACE: Aabb = Aabb::new([0.50, -0.05, 0.675], [0.60, 0.05, 0.745]);
 
-/// Where the wrist may go, m: the workspace raised by the length of the jaws, 4 mm more to each
-/// side and 16 mm more above. Source: the original.
-pub const REACH: Aabb = Aabb::new(
-    [0.50 - 0.004, -0.05 - 0.004, 0.675 + TIP_OFFSET],
-    [0.60 + 0.004, 0.05 + 0.004, 0.745 + TIP_OFFSET + 0.016],
-);
+/// Where the wrist may go in [`WORKSPACE`], m.
+pub const REACH: Aabb = reach(&WORKSPACE);
+
+/// Where the wrist may go for the tip to work in `workspace`, m: as much higher as the jaws are long,
+/// 4 mm more to each side and 16 mm more above. Source: the original.
+pub const fn reach(workspace: &Aabb) -> Aabb {
+    let [[x0, y0, z0], [x1, y1, z1]] = [workspace.min.data.0[0], workspace.max.data.0[0]];
+    Aabb::new(
+        [x0 - 0.004, y0 - 0.004, z0 + TIP_OFFSET],
+        [x1 + 0.004, y1 + 0.004, z1 + TIP_OFFSET + 0.016],
+    )
+}
 
 /// Movement that 1.0 in an action stands for, m. Source: the original.
 pub const STEP_LENGTH: f64 = 0.01;
 
 /// Turn that 1.0 in an action stands for, rad. Source: the original.
 pub const STEP_ANGLE: f64 = 30.0 * DEGREE;
+
+/// Pitch that 1.0 in an action stands for, rad. Source: the original.
+pub const STEP_PITCH: f64 = 15.0 * DEGREE;
+
+/// How far the pitch may go either way, rad. Source: the original.
+pub const PITCH_LIMIT: f64 = FRAC_PI_2;
+
+/// Roll and yaw of the wrist links of PSM1 and PSM2 where only their pitch turns, rad: the jaws point
+/// along the scene's x axis and turn about it. Source: the original.
+const PITCHED: [[f64; 2]; 2] = [[0.0, -FRAC_PI_2], [-PI, FRAC_PI_2]];
 
 /// Joint movements that 1.0 stands for, rad; index 2 in m: 10 mm at the usual depth of 0.16 m.
 const JOINT_STEPS: [f64; 6] = [0.06, 0.06, 0.01, STEP_ANGLE, STEP_ANGLE, STEP_ANGLE];
@@ -73,26 +95,58 @@ const LOCKED: f64 = f64::INFINITY;
 
 /// Force with which each finger squeezes, N. What an engine's contact can bear grows with the mass of
 /// the object: 1 N holds real objects, 3 N the original's of 10 g.
-fn squeeze_of(preset: Preset) -> f64 {
-    match preset {
-        Preset::Paper => 1.0,
-        Preset::Surrol => 3.0,
-    }
-}
+pub const SQUEEZE: f64 = 1.0;
+const SQUEEZE_HEAVY: f64 = 3.0;
 
 /// What the `paper` action of a task moves besides the position.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct PaperAction {
-    /// Whether the fourth number turns the jaws; otherwise it is ignored.
-    pub turns: bool,
+    /// What the fourth number turns.
+    pub turn: Turn,
     /// Whether the last number opens and closes the jaws; otherwise they stay closed, in every
     /// action mode.
     pub jaw: bool,
 }
 
+/// What the fourth number of the `paper` action turns.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Turn {
+    /// Nothing: the number is ignored.
+    Nothing,
+    /// The jaws about the vertical, by [`STEP_ANGLE`].
+    Vertical,
+    /// The pitch of the wrist link, by [`STEP_PITCH`] within ±[`PITCH_LIMIT`], while its roll and yaw
+    /// stay: see [`pitched`].
+    Pitch,
+}
+
+/// Where an arm stands and works.
+#[derive(Debug, Clone, Copy)]
+pub struct Station {
+    /// Which arm: 0 is PSM1, 1 is PSM2.
+    pub arm: usize,
+    /// Where the tip of jaws that point down works, m.
+    pub workspace: Aabb,
+    /// The wrist at the beginning of an episode.
+    pub start: Pose,
+    /// Height of what lies under the jaws, m.
+    pub support: f64,
+    /// Force with which each finger squeezes under `preset = "paper"`, N; [`SQUEEZE`] where none is given.
+    pub squeeze: Option<f64>,
+}
+
+impl Station {
+    /// PSM1 in [`WORKSPACE`], the wrist at `start` (m), jaws straight down.
+    pub fn psm1(start: [f64; 3], support: f64) -> Self {
+        Self { arm: 0, workspace: WORKSPACE, start: straight_down(start), support, squeeze: None }
+    }
+}
+
 /// A PSM with its instrument in the world.
 #[derive(Debug, Clone)]
 pub struct PsmArm {
+    /// 0 is PSM1, 1 is PSM2.
+    index: usize,
     kinematics: Psm,
     scene_from_base: Pose,
     start: Pose,
@@ -101,6 +155,9 @@ pub struct PsmArm {
     paper: PaperAction,
     preset: Preset,
     joint_offset: Range,
+    friction: Range,
+    /// Where the wrist may go, m.
+    reach: Aabb,
     /// Height of what lies under the jaws, m.
     support: f64,
     instrument: Instrument,
@@ -113,8 +170,8 @@ pub struct PsmArm {
 }
 
 impl PsmArm {
-    /// The rows of `setup` that move a PSM.
-    pub fn setup_rows() -> Vec<RowSpec> {
+    /// The rows of `setup` that move `count` PSMs.
+    pub fn setup_rows(count: usize) -> Vec<RowSpec> {
         let row = |name: &str, summary: &str, count, min, max| RowSpec {
             name: name.into(),
             summary: summary.into(),
@@ -122,30 +179,29 @@ impl PsmArm {
             min,
             max,
         };
-        vec![
-            row("base", "Base of the arm: x, y, z (m), turn about the vertical (rad).", 4, -PI, PI),
-            row("table_height", "Height of the table's top, m.", 1, 0.0, 2.0),
-        ]
+        let base = "Base of the arm: x, y, z (m), turn about the vertical (rad).";
+        let bases = BASE_ROWS[..count].iter().map(|name| row(name, base, 4, -PI, PI));
+        bases.chain([row("table_height", "Height of the table's top, m.", 1, 0.0, 2.0)]).collect()
     }
 
-    /// Puts PSM1 into the world, jaws closed and straight down, the wrist at `start` (m), above a
-    /// surface at height `support` (m).
+    /// Puts an arm into the world, jaws closed.
     pub fn insert(
         world: &mut World,
         options: &Options,
         paper: PaperAction,
-        start: [f64; 3],
-        support: f64,
+        station: Station,
     ) -> Result<Self, Rejection> {
-        let [x, y, z, yaw] = match options.row("setup", "base") {
+        let [x, y, z, yaw] = match options.row("setup", BASE_ROWS[station.arm]) {
             Some(&[x, y, z, yaw]) => [x, y, z, yaw],
-            _ => BASE_1,
+            _ => BASES[station.arm],
         };
         let table = options.row("setup", "table_height").map_or(TABLE_HEIGHT, |row| row[0]);
         let scene_from_base = frames::pose([x, y, z - (table - TABLE_HEIGHT)], [0.0, 0.0, yaw])
             * Pose::from(Vector3::from(BASE_FROM_RCM));
-        let start = straight_down(start);
+        let start = station.start;
+        let domain = options::Domain::of(options)?;
         let mut arm = Self {
+            index: station.arm,
             kinematics: Psm::CLASSIC,
             scene_from_base,
             start,
@@ -153,20 +209,26 @@ impl PsmArm {
             mode: options::action_of(options),
             paper,
             preset: options::preset_of(options),
-            joint_offset: options::Domain::of(options)?.joint_offset,
-            support,
+            joint_offset: domain.joint_offset,
+            friction: domain.friction,
+            reach: reach(&station.workspace),
+            support: station.support,
             instrument: Instrument::insert(
                 world,
                 Posture { world_from_wrist: start, jaw: JAW_CLOSED },
-                if paper.jaw { squeeze_of(options::preset_of(options)) } else { LOCKED },
+                match options::preset_of(options) {
+                    _ if !paper.jaw => LOCKED,
+                    Preset::Paper => station.squeeze.unwrap_or(SQUEEZE),
+                    Preset::Surrol => SQUEEZE_HEAVY,
+                },
             ),
             joints: [0.0, 0.0, 0.1, 0.0, 0.0, 0.0],
             offsets: [0.0; 6],
             scene_from_wrist: start,
         };
-        for corner in REACH.corners() {
-            let target = arm.confined(straight_down(corner.coords.into()));
-            if arm.solve(&target).is_none() {
+        for corner in arm.reach.corners() {
+            let corner = Pose::from_parts(corner.coords.into(), start.rotation);
+            if arm.solve(&arm.confined(corner)).is_none() {
                 let why = "the arm must reach all of the workspace within its joint limits";
                 return Err(options::refuse_setup(options, why));
             }
@@ -177,15 +239,47 @@ impl PsmArm {
         Ok(arm)
     }
 
-    /// Brings the arm to its start and draws this episode's encoder errors.
-    pub fn reset(&mut self, rng: &mut Rng) {
+    /// Brings the arm to its start and draws this episode's encoder errors and friction of the jaws.
+    pub fn reset(&mut self, world: &mut World, rng: &mut Rng) {
+        if let Some(friction) = self.friction.draw_if_given(rng) {
+            self.instrument.set_friction(world, friction);
+        }
         for joint in [0, 1, 3, 4, 5] {
             self.offsets[joint] = self.joint_offset.draw(rng);
         }
         self.joints = self.start_joints;
         self.scene_from_wrist = self.start;
         let world_from_wrist = self.true_pose(&self.joints);
+        self.instrument.untie(world);
         self.instrument.place(Posture { world_from_wrist, jaw: JAW_CLOSED });
+    }
+
+    /// Puts the arm, at once, where its true wrist is at `target`, jaws open by `jaw` (rad); false
+    /// where it cannot be there.
+    pub fn put(&mut self, target: &Pose, jaw: f64) -> bool {
+        let base_from_wrist = self.scene_from_base.inv_mul(target);
+        let Ok(joints) = self.kinematics.inverse(&base_from_wrist, &self.start_joints) else {
+            return false;
+        };
+        self.joints = std::array::from_fn(|joint| joints[joint] - self.offsets[joint]);
+        self.scene_from_wrist = self.pose_at(&self.joints);
+        self.instrument.place(Posture { world_from_wrist: self.true_pose(&self.joints), jaw });
+        true
+    }
+
+    /// Ties `object` to the wrist where it is, to prepare a start; [`Self::let_go`] ends it.
+    pub fn hold_fast(&mut self, world: &mut World, object: BodyId) {
+        self.instrument.tie(world, object);
+    }
+
+    /// Lets go what is tied to the wrist.
+    pub fn let_go(&mut self, world: &mut World) {
+        self.instrument.untie(world);
+    }
+
+    /// Where the wrist may go, m.
+    pub fn reach(&self) -> &Aabb {
+        &self.reach
     }
 
     /// The true tip of the closed jaws, m, scene frame.
@@ -210,16 +304,25 @@ impl PsmArm {
 
     /// Moves the arm for one step under an action of its mode; it holds where there is none.
     pub fn apply(&mut self, world: &mut World, action: Option<&[f32]>) {
-        let now = *self.instrument.posture();
+        let plan = self.plan(action);
+        let [reached] = travel([&mut self.instrument], world, [plan.end], substeps());
+        self.arrive(&plan, reached);
+    }
+
+    /// Where the arm goes under an action.
+    fn plan(&self, action: Option<&[f32]>) -> Plan {
         let (target, jaw) = match action {
             Some(action) => self.decode(action),
-            None => (self.scene_from_wrist, now.jaw),
+            None => (self.scene_from_wrist, self.instrument.posture().jaw),
         };
         let joints = self.solve_clear_of_pad(&self.confined(target)).unwrap_or(self.joints);
-        let end = Posture { world_from_wrist: self.true_pose(&joints), jaw };
-        let substeps = (SECONDS_PER_STEP * SUBSTEPS_PER_SECOND).round() as u32;
-        let reached = self.instrument.travel(world, end, substeps);
-        self.joints = if reached < 1.0 { self.joints_where_it_is(&joints) } else { joints };
+        Plan { joints, end: Posture { world_from_wrist: self.true_pose(&joints), jaw } }
+    }
+
+    /// Notes where the arm is after it went along `reached` of the way that was planned.
+    fn arrive(&mut self, plan: &Plan, reached: f64) {
+        self.joints =
+            if reached < 1.0 { self.joints_where_it_is(&plan.joints) } else { plan.joints };
         self.scene_from_wrist = self.pose_at(&self.joints);
     }
 
@@ -232,15 +335,23 @@ impl PsmArm {
         let numbers = match self.mode {
             ActionMode::Paper => {
                 let d = moved / STEP_LENGTH;
-                [d.x, d.y, d.z, turned.z / STEP_ANGLE, opening, 0.0, 0.0]
+                let turn = match self.paper.turn {
+                    Turn::Nothing => 0.0,
+                    Turn::Vertical => turned.z / STEP_ANGLE,
+                    Turn::Pitch => {
+                        let pitch = |pose: &Pose| pitch_of(self.index, &pose.rotation);
+                        (pitch(target) - pitch(now)) / STEP_PITCH
+                    }
+                };
+                [d.x, d.y, d.z, turn, opening, 0.0, 0.0]
             }
             ActionMode::Cartesian => {
                 let (d, r) = (moved / STEP_LENGTH, turned / STEP_ANGLE);
                 [d.x, d.y, d.z, r.x, r.y, r.z, opening]
             }
             ActionMode::CartesianAbs => {
-                let half = (REACH.max - REACH.min) * 0.5;
-                let p = (target.translation.vector - REACH.centre()).component_div(&half);
+                let half = (self.reach.max - self.reach.min) * 0.5;
+                let p = (target.translation.vector - self.reach.centre()).component_div(&half);
                 let r = (target.rotation * down().inverse()).scaled_axis() / PI;
                 [p.x, p.y, p.z, r.x, r.y, r.z, opening]
             }
@@ -260,7 +371,11 @@ impl PsmArm {
 
     /// The elements of an action.
     pub fn action_elements(&self) -> Vec<Element> {
-        let turn = if self.paper.turns { "turn about the vertical" } else { "ignored (turn)" };
+        let turn = match self.paper.turn {
+            Turn::Nothing => "ignored (turn)",
+            Turn::Vertical => "turn about the vertical",
+            Turn::Pitch => "pitch",
+        };
         let jaw = if self.paper.jaw { "jaw" } else { "ignored (jaw)" };
         let (frame, mut names) = match self.mode {
             ActionMode::Paper => ("scene", vec!["dx", "dy", "dz", turn]),
@@ -284,7 +399,7 @@ impl PsmArm {
     /// The elements of [`Self::observe`].
     pub fn observation_elements(&self) -> Vec<Element> {
         let mut elements =
-            options::position_elements("wrist", "scene", &REACH.grown(1e-3), self.preset);
+            options::position_elements("wrist", "scene", &self.reach.grown(1e-3), self.preset);
         elements.extend(options::euler_elements("wrist link", "scene"));
         elements.push(Element::new("jaw", "", "rad", -0.1, 1.0));
         elements
@@ -312,16 +427,24 @@ impl PsmArm {
         let graded = JAW_CLOSED + (JAW_OPEN - JAW_CLOSED) * 0.5 * (number(action.len() - 1) + 1.0);
         let (target, jaw) = match self.mode {
             ActionMode::Paper => {
-                let turn = if self.paper.turns { number(3) * STEP_ANGLE } else { 0.0 };
+                let turn = match self.paper.turn {
+                    Turn::Vertical => number(3) * STEP_ANGLE,
+                    Turn::Nothing | Turn::Pitch => 0.0,
+                };
+                let mut target = moved(now, vector(0) * STEP_LENGTH, Vector3::z() * turn);
+                if self.paper.turn == Turn::Pitch {
+                    let pitch = pitch_of(self.index, &now.rotation) + number(3) * STEP_PITCH;
+                    target.rotation = pitched(self.index, pitch.clamp(-PITCH_LIMIT, PITCH_LIMIT));
+                }
                 let jaw = if number(4) < 0.0 { JAW_CLOSED } else { JAW_OPEN };
-                (moved(now, vector(0) * STEP_LENGTH, Vector3::z() * turn), jaw)
+                (target, jaw)
             }
             ActionMode::Cartesian => {
                 (moved(now, vector(0) * STEP_LENGTH, vector(3) * STEP_ANGLE), graded)
             }
             ActionMode::CartesianAbs => {
-                let half = (REACH.max - REACH.min) * 0.5;
-                let position = REACH.centre() + vector(0).component_mul(&half);
+                let half = (self.reach.max - self.reach.min) * 0.5;
+                let position = self.reach.centre() + vector(0).component_mul(&half);
                 let rotation = UnitQuaternion::from_scaled_axis(vector(3) * PI) * down();
                 let step = position - now.translation.vector;
                 let step = step / (step.amax() / STEP_LENGTH).max(1.0);
@@ -344,9 +467,9 @@ impl PsmArm {
     /// The pose nearest to `target` in which wrist and tip are where they may be.
     fn confined(&self, mut target: Pose) -> Pose {
         let jaws = target.rotation * Vector3::z() * TIP_OFFSET;
-        let wrist = REACH.clamp(&target.translation.vector);
+        let wrist = self.reach.clamp(&target.translation.vector);
         let tip = wrist + jaws;
-        let inside = REACH.clamp(&tip) - tip;
+        let inside = self.reach.clamp(&tip) - tip;
         let lowest = self.support + instrument::CLEARANCE;
         let height = wrist.z.max(lowest + self.instrument.depth_below_wrist(&target.rotation));
         target.translation.vector = Vector3::new(wrist.x + inside.x, wrist.y + inside.y, height);
@@ -399,6 +522,54 @@ impl PsmArm {
     }
 }
 
+/// Where an arm goes in a step.
+struct Plan {
+    /// What the joint sensors will report.
+    joints: [f64; 6],
+    end: Posture,
+}
+
+impl Plan {
+    /// Whether the jaws are told to close: to less than half of what they open.
+    fn closes(&self) -> bool {
+        self.end.jaw < 0.5 * (JAW_CLOSED + JAW_OPEN)
+    }
+}
+
+/// Moves `arms` at the same time for one step under an action, which has as many numbers for each, one
+/// arm after the other; they hold where there is none. `is_lifted` tells whether the object of `grasp`
+/// has risen enough for a tie to replace friction where the grasp mode is `weld`.
+pub fn step<const N: usize>(
+    mut arms: [&mut PsmArm; N],
+    world: &mut World,
+    grasp: &mut Grasp,
+    action: Option<&[f32]>,
+    is_lifted: impl FnOnce(&World) -> bool,
+) {
+    let plans: [Plan; N] = std::array::from_fn(|index| {
+        let own = action.map(|action| {
+            let count = action.len() / N;
+            &action[index * count..][..count]
+        });
+        arms[index].plan(own)
+    });
+    let closing = plans.each_ref().map(Plan::closes);
+    let ends = plans.each_ref().map(|plan| plan.end);
+    let mut instruments = arms.each_mut().map(|arm| &mut arm.instrument);
+    grasp.command(world, instruments.each_mut().map(|each| &mut **each), closing);
+    let reached = travel(instruments.each_mut().map(|each| &mut **each), world, ends, substeps());
+    let is_lifted = is_lifted(world);
+    grasp.settle(world, instruments, is_lifted);
+    for ((arm, plan), reached) in arms.into_iter().zip(&plans).zip(reached) {
+        arm.arrive(plan, reached);
+    }
+}
+
+/// Substeps of a step.
+fn substeps() -> u32 {
+    (SECONDS_PER_STEP * SUBSTEPS_PER_SECOND).round() as u32
+}
+
 /// `now` moved by `step` (m) and turned by the rotation vector `turn` (rad), both in the scene.
 fn moved(now: &Pose, step: Vector3<f64>, turn: Vector3<f64>) -> Pose {
     let rotation = UnitQuaternion::from_scaled_axis(turn) * now.rotation;
@@ -406,7 +577,7 @@ fn moved(now: &Pose, step: Vector3<f64>, turn: Vector3<f64>) -> Pose {
 }
 
 /// The wrist at `position`, jaws straight down, turned as every episode begins.
-fn straight_down(position: [f64; 3]) -> Pose {
+pub(super) fn straight_down(position: [f64; 3]) -> Pose {
     Pose::from_parts(Vector3::from(position).into(), down())
 }
 
@@ -415,6 +586,35 @@ fn straight_down(position: [f64; 3]) -> Pose {
 pub(super) fn down() -> UnitQuaternion<f64> {
     let scene_from_link = UnitQuaternion::from_euler_angles(-FRAC_PI_2, 0.0, FRAC_PI_2);
     scene_from_link * wrist_from_link().inverse()
+}
+
+/// Orientation of the wrist of `arm` (0 or 1) whose link has this pitch (rad), and roll and yaw as where
+/// only the pitch turns: jaws along the scene's x axis.
+pub fn pitched(arm: usize, pitch: f64) -> UnitQuaternion<f64> {
+    let [roll, yaw] = PITCHED[arm];
+    UnitQuaternion::from_euler_angles(roll, pitch, yaw) * wrist_from_link().inverse()
+}
+
+/// The pitch of a wrist of `arm` that is oriented as in [`pitched`], rad.
+pub fn pitch_of(arm: usize, wrist: &UnitQuaternion<f64>) -> f64 {
+    pitch_along(arm, &hinge(wrist))
+}
+
+/// The pitch, in [−π/2, π/2], at which jaws of `arm` as in [`pitched`] close across the direction `along`.
+pub fn pitch_across(arm: usize, along: &Vector3<f64>) -> f64 {
+    let pitch = pitch_along(arm, along);
+    pitch - PI * (pitch / PI).round() // either finger may be on either side
+}
+
+/// The pitch at which the hinge of jaws as in [`pitched`] lies along `direction`, as far as it can.
+fn pitch_along(arm: usize, direction: &Vector3<f64>) -> f64 {
+    let [level, upright] = [0.0, FRAC_PI_2].map(|pitch| hinge(&pitched(arm, pitch)));
+    libm::atan2(direction.dot(&upright), direction.dot(&level))
+}
+
+/// The axis on which the fingers of a wrist turn.
+fn hinge(wrist: &UnitQuaternion<f64>) -> Vector3<f64> {
+    wrist * wrist_from_link() * Vector3::z()
 }
 
 /// The wrist-yaw link (y along the jaws, z along their hinge) in the frame of dVRK's `measured_cp`
@@ -431,10 +631,11 @@ mod tests {
 
     fn arm(options: &Options) -> (World, PsmArm) {
         let mut world = World::new(Solver::LIGHT);
-        let paper = PaperAction { turns: true, jaw: true };
+        let paper = PaperAction { turn: Turn::Vertical, jaw: true };
         let start = [WORKSPACE.min.x, WORKSPACE.max.y, WORKSPACE.max.z + TIP_OFFSET];
-        let mut arm = PsmArm::insert(&mut world, options, paper, start, pad().max.z).unwrap();
-        arm.reset(&mut Rng::new(0, 0));
+        let mut arm =
+            PsmArm::insert(&mut world, options, paper, Station::psm1(start, pad().max.z)).unwrap();
+        arm.reset(&mut world, &mut Rng::new(0, 0));
         (world, arm)
     }
 
@@ -501,6 +702,74 @@ mod tests {
                 assert!(arm.joints.iter().zip(limits).all(|(q, l)| l.min <= *q && *q <= l.max));
             }
             assert!(lowest < pad().max.z + 1e-3, "{mode}: never came down, {lowest}");
+        }
+    }
+
+    /// PSM1 or PSM2 where both hand over a needle, its jaws at this pitch.
+    fn pitching_arm(arm: usize, pitch: f64) -> (World, PsmArm) {
+        let mut world = World::new(Solver::LIGHT);
+        let paper = PaperAction { turn: Turn::Pitch, jaw: true };
+        let side = [1.0, -1.0][arm];
+        let y = 0.045 * side;
+        let workspace = Aabb::new([0.55, y - 0.035, 0.695], [0.60, y + 0.035, 0.745]);
+        let at = workspace.centre() + Vector3::z() * TIP_OFFSET;
+        let start = Pose::from_parts(at.into(), pitched(arm, pitch));
+        let station = Station { arm, workspace, start, support: pad().max.z, squeeze: None };
+        let mut arm = PsmArm::insert(&mut world, &Options::new(), paper, station).unwrap();
+        arm.reset(&mut world, &mut Rng::new(0, 0));
+        (world, arm)
+    }
+
+    #[test]
+    fn the_pitch_turns_jaws_about_themselves_within_a_quarter_turn() {
+        for (index, [roll, yaw]) in PITCHED.into_iter().enumerate() {
+            let (mut world, mut arm) = pitching_arm(index, 0.0);
+            let along = arm.scene_from_wrist().rotation * Vector3::z();
+            assert!((along - Vector3::x()).norm() < 1e-12, "{along}");
+            let mut seen = [0.0; PsmArm::OBSERVED];
+            for (turn, pitch) in [(1.0, 15.0), (0.4, 21.0), (-1.0, 6.0)] {
+                arm.apply(&mut world, Some(&[0.0, 0.0, 0.0, turn, -1.0]));
+                arm.observe(&world, &mut seen);
+                let expected = [roll, pitch * DEGREE, yaw];
+                for (found, expected) in seen[3..6].iter().zip(expected) {
+                    assert!((f64::from(*found) - expected).abs() < 1e-6, "{seen:?}");
+                }
+            }
+            for _ in 0..10 {
+                arm.apply(&mut world, Some(&[0.0, 0.0, 0.0, -1.0, -1.0]));
+            }
+            arm.observe(&world, &mut seen);
+            // The original's numbers where roll and yaw are not determined.
+            for (found, expected) in seen[3..6].iter().zip([0.0, -FRAC_PI_2, -FRAC_PI_2]) {
+                assert!((f64::from(*found) - expected).abs() < 1e-6, "{seen:?}");
+            }
+        }
+    }
+
+    #[test]
+    fn every_pitch_can_be_reached_all_over_the_workspace() {
+        for index in 0..2 {
+            let (_, arm) = pitching_arm(index, -FRAC_PI_2);
+            for corner in arm.reach.corners() {
+                for step in -6..=6 {
+                    let pitch = f64::from(step) * STEP_PITCH;
+                    let pose = Pose::from_parts(corner.coords.into(), pitched(index, pitch));
+                    let joints = arm.solve(&arm.confined(pose));
+                    assert!(joints.is_some(), "PSM{} at {corner}, {pitch}", index + 1);
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn jaws_close_across_what_their_pitch_is_chosen_for() {
+        for index in 0..2 {
+            for angle in [-1.4, -0.5, 0.0, 0.3, 1.5] {
+                let along = Vector3::new(0.3, libm::cos(angle), libm::sin(angle));
+                let wrist = pitched(index, pitch_across(index, &along));
+                assert!((wrist * Vector3::y()).dot(&along).abs() < 1e-12, "{index} {angle}");
+                assert!((pitch_of(index, &wrist) - pitch_across(index, &along)).abs() < 1e-12);
+            }
         }
     }
 }

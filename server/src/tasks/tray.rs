@@ -20,21 +20,29 @@ const TRAY_ORIGIN: [f64; 3] = [0.55, 0.0, 0.6751];
 /// original.
 const NARROW: f64 = 0.01;
 
-/// Friction coefficient of all objects and furniture. Source: the original.
-const FRICTION: f64 = 1.0;
-
-/// A world with table, tray and pad, and the solver that the preset's objects need.
-pub fn furnished_world(preset: Preset) -> World {
+/// A world with the table, and the solver that the preset's objects need.
+pub fn bare_table(preset: Preset) -> World {
     let mut world = World::new(match preset {
         Preset::Paper => Solver::LIGHT,
         Preset::Surrol => Solver::HEAVY,
     });
-    let scene_from_table = frames::pose(TABLE_ORIGIN, [0.0; 3]);
-    world.insert(Motion::Fixed, &scene_from_table, FRICTION, &Model::table().parts);
+    furnish(&mut world, Model::table(), TABLE_ORIGIN);
+    world
+}
+
+/// A world with table, tray and pad, and the solver that the preset's objects need.
+pub fn furnished_world(preset: Preset) -> World {
+    let mut world = bare_table(preset);
     for model in [Model::tray(), Model::pad()] {
-        world.insert(Motion::Fixed, &scene_from_tray(), FRICTION, &model.parts);
+        furnish(&mut world, model, TRAY_ORIGIN);
     }
     world
+}
+
+/// Puts furniture into the world, its origin at `origin` (m).
+pub fn furnish(world: &mut World, model: &Model, origin: [f64; 3]) {
+    let pose = frames::pose(origin, [0.0; 3]);
+    world.insert(Motion::Fixed, &pose, model.friction, &model.parts);
 }
 
 /// The pad on which objects lie, m.
@@ -64,7 +72,7 @@ impl Needle {
             Preset::Surrol => Self::SURROL_MASS,
         };
         let at = Self::resting(pad().centre().x, pad().centre().y, 0.0);
-        Self { body: world.insert(Motion::Free { mass }, &at, FRICTION, &model.parts) }
+        Self { body: world.insert(Motion::Free { mass }, &at, model.friction, &model.parts) }
     }
 
     /// The body in the world.

@@ -7,8 +7,8 @@
 use nalgebra::{Unit, Vector3};
 use rapier3d::math::Vector as EngineVector;
 use rapier3d::prelude::{
-    Group, ImpulseJointHandle, InteractionGroups, InteractionTestMode, MassProperties, MotorModel,
-    RevoluteJointBuilder, RigidBodyBuilder,
+    ActiveHooks, Group, ImpulseJointHandle, InteractionGroups, InteractionTestMode, MassProperties,
+    MotorModel, RevoluteJointBuilder, RigidBodyBuilder,
 };
 
 use super::{BodyId, Part, World, collider};
@@ -20,6 +20,12 @@ const CONDITIONING: f64 = 100.0;
 /// Stiffness of the motor per inertia, 1/s²: its frequency is about half the rate of the solver's
 /// iterations over 2π.
 const STIFFNESS: f64 = 1e6;
+
+/// Contacts of hinged bodies are computed afresh in every substep. The engine keeps those of bodies
+/// that hardly move against each other as they were *in the world* until both have turned by 11°; a
+/// jaw that turns with what it holds would press and drag along stale normals, and what is held
+/// creeps out of it. It never keeps contacts that a hook may change; no hook is there to do so.
+const NEVER_RECYCLED: ActiveHooks = ActiveHooks::MODIFY_SOLVER_CONTACTS;
 
 /// What a hinged body is like.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -59,8 +65,8 @@ impl HingedId {
 }
 
 impl World {
-    /// Hangs a body on the driven body `carrier`. It meets everything but its carrier and other
-    /// hinged bodies.
+    /// Hangs a body on the driven body `carrier`. It meets everything but its carrier and what else
+    /// hangs on that.
     pub fn insert_hinged(&mut self, carrier: BodyId, hinge: &Hinge, parts: &[Part]) -> HingedId {
         // The axis is one of the body's, so its inertia is diagonal.
         let along = hinge.axis.abs();
@@ -76,14 +82,16 @@ impl World {
             .additional_mass_properties(mass)
             .can_sleep(false);
         let body = self.bodies.insert(body);
-        let others = Group::ALL.difference(Group::GROUP_2);
-        let groups = InteractionGroups::new(Group::GROUP_2, others, InteractionTestMode::And);
+        let own = self.group_of(carrier);
+        let groups =
+            InteractionGroups::new(own, Group::ALL.difference(own), InteractionTestMode::And);
         for part in parts {
             let collider = collider(&part.shape)
                 .position(frames::to_engine(&part.body_from_part))
                 .density(0.0)
                 .friction(hinge.friction as f32)
-                .collision_groups(groups);
+                .collision_groups(groups)
+                .active_hooks(NEVER_RECYCLED);
             self.colliders.insert_with_parent(collider, body, &mut self.bodies);
         }
         let axis = EngineVector::new(hinge.axis.x as f32, hinge.axis.y as f32, hinge.axis.z as f32);
@@ -94,6 +102,14 @@ impl World {
             .motor_position(0.0, STIFFNESS as f32, DAMPING as f32);
         let joint = self.impulse_joints.insert(carrier.0, body, joint, true);
         HingedId { body: BodyId(body), joint, axis: hinge.axis }
+    }
+
+    /// The collision group of what hangs on `carrier`: each carrier has its own, from the second on.
+    fn group_of(&self, carrier: BodyId) -> Group {
+        let mut carriers: Vec<_> = self.joints().map(|[carrier, _]| carrier).collect();
+        carriers.dedup();
+        let index = carriers.iter().position(|each| *each == carrier).unwrap_or(carriers.len());
+        Group::from_bits_retain(Group::GROUP_2.bits() << index)
     }
 
     /// Sets where a hinged body is and how fast it moves (m/s, rad/s), at once.

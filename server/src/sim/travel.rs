@@ -1,0 +1,223 @@
+//! How instruments move in an environment step: smoothly, at the same time, and not at any price.
+//!
+//! Within a step wrist and jaw angle follow a smoothstep profile, so their velocity is continuous and
+//! zero at both ends. Three rules belong to the model's definition:
+//!
+//! - **Yield**: where an object that is in the way pushes back too hard or is pressed into what is
+//!   behind it, an instrument goes back along its path instead of forward; just before, it waits.
+//! - **Distance**: the shafts of two instruments, which nothing else keeps apart, wait where they
+//!   would come closer than they are thick.
+//! - **Quiescence**: while every free object sleeps, the jaws are as open as they should be, and the
+//!   instruments' swept volumes meet no object, no furniture (where they grip) and not each other,
+//!   the instruments move and no substep runs, since nothing else would change.
+
+use nalgebra::Point3;
+
+use super::instrument::{Instrument, Posture};
+use super::world::{Overlap, Push, World};
+
+/// Net force of objects against the motion beyond which an instrument yields, N.
+const YIELD_FORCE: f64 = 2.5;
+
+/// Overlap of a pushed object with anything beyond which an instrument yields, m. Contact stiffness
+/// is per mass: a needle of 0.4 g would be pressed through its support before it pushed back with
+/// [`YIELD_FORCE`].
+const YIELD_OVERLAP: f64 = 0.05e-3;
+
+/// Overlap beyond which locked jaws wait, m.
+const HOLD_OVERLAP_LOCKED: f64 = 0.5 * YIELD_OVERLAP;
+
+/// Overlap beyond which gripping jaws wait, m: in one substep they move by up to 0.5 mm, as much as
+/// the radius of a needle's wire.
+const HOLD_OVERLAP_GRIPPING: f64 = 0.01e-3;
+
+/// Movement of a point that counts as one, m.
+const LEAST_MOTION: f64 = 1e-9;
+
+/// One instrument on its way.
+struct Way<'a> {
+    instrument: &'a mut Instrument,
+    start: Posture,
+    end: Posture,
+    /// Substeps' worth of the way that the wrist has covered.
+    done: u32,
+    /// What pushed in the last substep.
+    push: Push,
+}
+
+impl Way<'_> {
+    /// The posture in substep `now` of `substeps` where the wrist has covered `done` of them.
+    fn along(&self, done: u32, now: u32, substeps: u32) -> Posture {
+        self.start.towards(&self.end, smoothstep(done, substeps), smoothstep(now, substeps))
+    }
+}
+
+/// Moves instruments to `ends` within `substeps` substeps and returns how far along the wrists got,
+/// from 0 to 1: less than 1 where one yielded.
+pub fn travel<const N: usize>(
+    instruments: [&mut Instrument; N],
+    world: &mut World,
+    ends: [Posture; N],
+    substeps: u32,
+) -> [f64; N] {
+    let mut ends = ends.into_iter();
+    let mut ways = instruments.map(|instrument| Way {
+        start: *instrument.posture(),
+        end: ends.next().expect("as many ends as instruments"),
+        done: 0,
+        push: Push::NONE,
+        instrument,
+    });
+    for now in 1..=substeps {
+        if world.at_rest() && ways.iter().all(|way| way.instrument.jaws_rest(world)) {
+            for way in &mut ways {
+                way.push = Push::NONE;
+            }
+            if have_free_ways(&ways, world, |way| way.end) {
+                for way in &mut ways {
+                    way.instrument.place(way.end);
+                }
+                return [1.0; N];
+            }
+            let next = |way: &Way| way.along(way.done + 1, now, substeps);
+            if have_free_ways(&ways, world, next) {
+                for way in &mut ways {
+                    way.done += 1;
+                    way.instrument.place(way.along(way.done, now, substeps));
+                }
+                continue;
+            }
+        }
+        let waits = approaching(&ways, now, substeps);
+        for way in &mut ways {
+            let (from, to) = if way.instrument.grips() {
+                (*way.instrument.posture(), way.along(way.done + 1, now, substeps))
+            } else {
+                (way.start, way.end)
+            };
+            let hold =
+                if way.instrument.grips() { HOLD_OVERLAP_GRIPPING } else { HOLD_OVERLAP_LOCKED };
+            way.done = match resistance(&way.push, &from, &to, hold) {
+                Resistance::Drives => way.done.saturating_sub(1),
+                Resistance::Holds => way.done,
+                Resistance::None if waits => way.done,
+                Resistance::None => way.done + 1,
+            };
+            let next = way.along(way.done, now, substeps);
+            way.instrument.drive(world, next);
+        }
+        world.step();
+        for way in &mut ways {
+            way.push = way.instrument.push(world);
+        }
+    }
+    ways.map(|way| smoothstep(way.done, substeps))
+}
+
+/// Whether no instrument meets anything on its way to the posture that `to` tells.
+fn have_free_ways(ways: &[Way], world: &World, to: impl Fn(&Way) -> Posture) -> bool {
+    let swept = |way: &Way| way.instrument.swept(&to(way));
+    ways.iter().enumerate().all(|(index, way)| {
+        let volume = swept(way);
+        way.instrument.has_free_way(world, &volume)
+            && ways[..index].iter().all(|other| !volume.meets(&swept(other)))
+    })
+}
+
+/// Whether the next substep would bring two shafts closer that are too close already.
+fn approaching(ways: &[Way], now: u32, substeps: u32) -> bool {
+    ways.iter().enumerate().any(|(index, way)| {
+        let next = way.along(way.done + 1, now, substeps);
+        ways[..index].iter().any(|other| {
+            let other_next = other.along(other.done + 1, now, substeps);
+            let gap = next.gap(&other_next);
+            gap < 0.0 && gap < way.instrument.posture().gap(other.instrument.posture())
+        })
+    })
+}
+
+/// What an object in the way does to a motion.
+enum Resistance {
+    /// The motion goes on.
+    None,
+    /// It waits until the object has given way.
+    Holds,
+    /// It goes back.
+    Drives,
+}
+
+/// What `push` does to the motion from `start` to `end`, which waits beyond an overlap of `hold`, m.
+fn resistance(push: &Push, start: &Posture, end: &Posture, hold: f64) -> Resistance {
+    let end_from_start = end.world_from_wrist * start.world_from_wrist.inverse();
+    let moves = |point: &Point3<f64>| end_from_start * point - point;
+    let force = match moves(&push.point).try_normalize(LEAST_MOTION) {
+        Some(direction) => -push.force.dot(&direction),
+        None => 0.0,
+    };
+    let Overlap { depth, point, into } = push.overlap;
+    let presses_on = moves(&point).dot(&into) > LEAST_MOTION;
+    if force > YIELD_FORCE || (presses_on && depth > YIELD_OVERLAP) {
+        Resistance::Drives
+    } else if presses_on && depth > hold {
+        Resistance::Holds
+    } else {
+        Resistance::None
+    }
+}
+
+/// The smooth profile: 0 at 0, 1 at `total`, with velocity 0 at both ends.
+fn smoothstep(done: u32, total: u32) -> f64 {
+    let x = f64::from(done) / f64::from(total);
+    x * x * (3.0 - 2.0 * x)
+}
+
+#[cfg(test)]
+#[expect(clippy::float_cmp, reason = "these results are exact")]
+mod tests {
+    use super::*;
+    use crate::sim::frames;
+    use crate::sim::instrument::{JAW_CLOSED, TIP_OFFSET};
+    use crate::sim::world::Solver;
+
+    const SUBSTEPS: u32 = 48;
+
+    /// Straight down, tip at `tip`.
+    fn down(tip: [f64; 3]) -> Posture {
+        let [x, y, z] = tip;
+        let pose = frames::pose([x, y, z + TIP_OFFSET], [std::f64::consts::PI, 0.0, 0.0]);
+        Posture { world_from_wrist: pose, jaw: JAW_CLOSED }
+    }
+
+    #[test]
+    fn instruments_far_apart_both_arrive_and_those_that_meet_stop_each_other() {
+        for (height, passes) in [(0.04, true), (0.0, false)] {
+            let mut world = World::new(Solver::LIGHT);
+            let starts = [down([-0.02, 0.0, 0.0]), down([0.02, 0.0, height])];
+            let ends = [down([0.02, 0.0, 0.0]), down([-0.02, 0.0, height])];
+            let [mut left, mut right] =
+                starts.map(|start| Instrument::insert(&mut world, start, 1.0));
+            let mut reached = [0.0; 2];
+            for _ in 0..5 {
+                reached = travel([&mut left, &mut right], &mut world, ends, SUBSTEPS);
+            }
+            assert_eq!(reached == [1.0; 2], passes, "{reached:?}");
+            if !passes {
+                let apart = [&left, &right].map(|arm| arm.posture().world_from_tip().translation.x);
+                assert!(apart[1] - apart[0] > 1e-3, "{apart:?}");
+                assert!(left.posture().gap(right.posture()) > -0.2e-3);
+                // Both may leave as they came.
+                let back = travel([&mut left, &mut right], &mut world, starts, SUBSTEPS);
+                assert_eq!(back, [1.0; 2]);
+            }
+        }
+    }
+
+    #[test]
+    fn motion_is_smooth() {
+        let speeds: Vec<f64> = (0..48).map(|i| smoothstep(i + 1, 48) - smoothstep(i, 48)).collect();
+        assert!(speeds[0] < 0.1 / 48.0 * 2.0 && speeds[47] < 0.1 / 48.0 * 2.0);
+        let jump = speeds.windows(2).map(|pair| (pair[1] - pair[0]).abs()).fold(0.0, f64::max);
+        assert!(jump < 0.15 / 48.0);
+        assert_eq!(smoothstep(48, 48), 1.0);
+    }
+}

@@ -1,0 +1,140 @@
+//! The gauze in its tray, in the scene frame of [`psm_scene`](super::psm_scene).
+
+use nalgebra::Vector3;
+
+use super::options::Preset;
+use super::psm_scene::WORKSPACE;
+use super::tray;
+use crate::assets::Model;
+use crate::sim::frames::{self, Aabb, Pose};
+use crate::sim::random::Rng;
+use crate::sim::world::{BodyId, Motion, World};
+
+/// Origin of the tray, m: a little higher than with a pad in it. Source: the original.
+const TRAY_ORIGIN: [f64; 3] = [0.55, 0.0, 0.6781];
+
+/// `spawn = "narrow"`: how far the gauze is from the workspace's centre along x and y, m. Source: the
+/// original.
+const NARROW: f64 = 0.01;
+
+/// A world with table and tray, and the solver that the preset's objects need.
+pub fn furnished_world(preset: Preset) -> World {
+    let mut world = tray::bare_table(preset);
+    tray::furnish(&mut world, Model::tray(), TRAY_ORIGIN);
+    world
+}
+
+/// Height of the tray's floor, m.
+pub fn floor() -> f64 {
+    Model::tray().parts[0].aabb(&scene_from_tray()).max.z
+}
+
+/// Height of the tray's rim, m.
+pub fn rim() -> f64 {
+    Model::tray().aabb(&scene_from_tray()).max.z
+}
+
+fn scene_from_tray() -> Pose {
+    frames::pose(TRAY_ORIGIN, [0.0; 3])
+}
+
+/// A folded swab with a pleat by which it is gripped.
+#[derive(Debug, Clone)]
+pub struct Gauze {
+    body: BodyId,
+}
+
+impl Gauze {
+    /// Mass under `preset = "surrol"`, kg. Source: the original.
+    const SURROL_MASS: f64 = 0.05;
+
+    /// Puts a gauze into the world.
+    pub fn insert(world: &mut World, preset: Preset) -> Self {
+        let model = Model::gauze();
+        let mass = match preset {
+            Preset::Paper => model.mass,
+            Preset::Surrol => Self::SURROL_MASS,
+        };
+        let centre = WORKSPACE.centre();
+        let at = Self::resting(centre.x, centre.y);
+        Self { body: world.insert(Motion::Free { mass }, &at, model.friction, &model.parts) }
+    }
+
+    /// The body in the world.
+    pub fn body(&self) -> BodyId {
+        self.body
+    }
+
+    /// Lays the gauze on the floor of the tray, at rest, its pleat along x; `x` and `y` of its middle,
+    /// m.
+    pub fn lay(&self, world: &mut World, x: f64, y: f64) {
+        world.place(self.body, &Self::resting(x, y));
+    }
+
+    /// Lays the gauze anywhere that is wholly in the workspace.
+    pub fn lay_anywhere(&self, world: &mut World, rng: &mut Rng) {
+        let half = Self::outline().extents() * 0.5;
+        let mut along = |axis: usize| {
+            rng.uniform(WORKSPACE.min[axis] + half[axis], WORKSPACE.max[axis] - half[axis])
+        };
+        let (x, y) = (along(0), along(1));
+        self.lay(world, x, y);
+    }
+
+    /// Lays the gauze with its middle within 10 mm of the workspace's along x and y.
+    pub fn lay_near_the_middle(&self, world: &mut World, rng: &mut Rng) {
+        let centre = WORKSPACE.centre();
+        let x = centre.x + rng.uniform(-NARROW, NARROW);
+        let y = centre.y + rng.uniform(-NARROW, NARROW);
+        self.lay(world, x, y);
+    }
+
+    /// The middle of the crest of its pleat in the gauze, m.
+    pub fn crest() -> Vector3<f64> {
+        Vector3::z() * Self::outline().max.z
+    }
+
+    /// Height of the sheet beside the pleat in the gauze, m.
+    pub fn sheet() -> f64 {
+        Model::gauze().parts[0].aabb(&Pose::identity()).max.z
+    }
+
+    fn outline() -> Aabb {
+        Model::gauze().aabb(&Pose::identity())
+    }
+
+    fn resting(x: f64, y: f64) -> Pose {
+        frames::pose([x, y, floor() - Self::outline().min.z], [0.0; 3])
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_gauze_lies_in_tray_and_workspace_and_stays_where_it_is_laid() {
+        for preset in [Preset::Paper, Preset::Surrol] {
+            let mut world = furnished_world(preset);
+            let gauze = Gauze::insert(&mut world, preset);
+            let mut rng = Rng::new(3, 0);
+            for _ in 0..20 {
+                gauze.lay_anywhere(&mut world, &mut rng);
+                let laid = world.pose(gauze.body());
+                world.wake(gauze.body());
+                for _ in 0..240 {
+                    world.step();
+                }
+                assert!(world.at_rest(), "it falls asleep again");
+                let moved = world.pose(gauze.body()).inv_mul(&laid);
+                assert!(moved.translation.vector.norm() < 0.02e-3, "{moved}");
+                let outline = Model::gauze().aabb(&laid);
+                assert!((outline.min.z - floor()).abs() < 1e-6);
+                for axis in 0..2 {
+                    assert!(WORKSPACE.min[axis] < outline.min[axis] + 1e-9, "{outline:?}");
+                    assert!(outline.max[axis] < WORKSPACE.max[axis] + 1e-9, "{outline:?}");
+                }
+            }
+        }
+    }
+}

@@ -1,0 +1,279 @@
+//! Gauze retrieve: a PSM picks up a gauze and brings it to a goal.
+//!
+//! # Description
+//!
+//! A folded gauze swab lies in a tray. PSM1 is to grasp it by its pleat, lift it and bring its
+//! middle within 5 mm of a point above the tray. Fingers and gauze touch by friction alone: nothing
+//! ever ties the gauze to the jaws. The gauze is rigid.
+//!
+//! # Action Space
+//!
+//! `action = "paper"`, each number in [−1, 1]; the other modes are in [`psm_scene`](super::psm_scene).
+//!
+//! | Num | Meaning | Min | Max | Unit |
+//! |---|---|---|---|---|
+//! | 0 | dx, scene frame | −1 | 1 | 10 mm |
+//! | 1 | dy, scene frame | −1 | 1 | 10 mm |
+//! | 2 | dz, scene frame | −1 | 1 | 10 mm |
+//! | 3 | ignored (turn in other tasks) | −1 | 1 | – |
+//! | 4 | jaw: below 0 close, else open to 40° | −1 | 1 | – |
+//!
+//! The movement starts from the sensed wrist, takes 0.2 s along a smooth profile, and is confined
+//! to the workspace: see [`psm_scene`](super::psm_scene).
+//!
+//! # Observation Space
+//!
+//! | Num | Meaning | Min | Max | Unit |
+//! |---|---|---|---|---|
+//! | 0 | wrist x (wrist-yaw axis, as sensed), scene frame | 0.495 | 0.605 | m |
+//! | 1 | wrist y | −0.055 | 0.055 | m |
+//! | 2 | wrist z | 0.6842 | 0.7722 | m |
+//! | 3 | roll of the wrist link; −π/2 under `paper` | −π | π | rad |
+//! | 4 | pitch; 0 under `paper` | −π/2 | π/2 | rad |
+//! | 5 | yaw; π/2 under `paper` | −π | π | rad |
+//! | 6 | jaw angle: the opening between the fingers | −0.1 | 1 | rad |
+//! | 7–9 | gauze x, y, z (its middle), scene frame | 0.292, −0.268, 0.6 | 0.708, 0.268, 0.9 | m |
+//! | 10–12 | gauze less wrist x, y, z, scene frame | −0.313, −0.323, −0.1732 | 0.213, 0.323, 0.2158 | m |
+//! | 13–15 | crest of the pleat x, y, z, scene frame | 0.292, −0.268, 0.6 | 0.708, 0.268, 0.9 | m |
+//! | 16–18 | roll, pitch, yaw of the gauze | −π, −π/2, −π | π, π/2, π | rad |
+//!
+//! The angles are extrinsic XYZ Euler angles, R = Rz(yaw)·Ry(pitch)·Rx(roll): 3–5 of the wrist-yaw
+//! link, whose y axis points along the jaws and whose z axis is their hinge; 16–18 of the gauze,
+//! whose x axis lies along the pleat. What is outside its range is shown at its end. Achieved goal:
+//! the middle of the gauze (x, y, z, m); desired goal: where it is to be. Both ignore `domain`'s
+//! noise and encoder errors.
+//!
+//! # Rewards
+//!
+//! `sparse` (default): 0 where the goals are less than 5 mm apart, −1 otherwise. `dense`: minus
+//! their distance, m. Both are functions of the goals alone.
+//!
+//! # Starting State
+//!
+//! The wrist at the corner (0.50, 0.05, 0.7202) m, jaws closed and straight down. The gauze lies flat
+//! on the floor of the tray, its pleat along x, as jaws need it that do not turn.
+//! `spawn = "workspace"`: gauze anywhere wholly in the 10 cm workspace, goal uniform in the workspace
+//! from 5 mm above the tray's rim to its top (0.745 m). `spawn = "narrow"`: the gauze's middle within
+//! ±10 mm of the workspace's centre; goal normal about that centre with 20 mm along x and y, at the
+//! height 0.7252 m.
+//!
+//! # Episode End
+//!
+//! Truncated after 50 steps; never terminated.
+//!
+//! # Options
+//!
+//! `reward`, `action`, `observation`, `spawn`, and:
+//!
+//! - `grasp`: `interact`: friction alone; `approx`: a tie between wrist and gauze when jaws close whose
+//!   tip is within `grasp_distance` (0.002 m) of it, through which the fingers then pass; `weld`:
+//!   friction until it is 2.5 mm higher than it lay, then a tie.
+//! - `start`: `approach` (the open jaws are about the pleat), `pick` (they hold it) or `lift` (as high
+//!   as its goal): one of 64 states that the expert made, with a new goal.
+//! - `preset = "surrol"`: positions, goals and tolerance in units of 0.2 m (metres × 5), gauze of
+//!   50 g, gripped with 3 N instead of 1 N, `spawn = "narrow"` and `grasp = "weld"` unless given.
+//! - `domain`: `friction` (coefficient of the jaws), `observation_noise` (m, on observed positions),
+//!   `joint_offset` (rad, on every rotary joint), `latency` (steps; the arm holds until the first
+//!   action arrives).
+//! - `setup`: `base` (x, y, z in m and turn in rad of the arm's base), `table_height` (m). The arm
+//!   must reach the whole workspace.
+//!
+//! # Differences from the original
+//!
+//! - The gauze is held by friction from beginning to end; the original fixes it to the wrist when
+//!   it has risen by 2.5 mm.
+//! - The gauze is as wide as it looks and is gripped by a pleat that one sees; the original's is a
+//!   box of 4 × 2 × 3 mm.
+//! - Metres instead of metres × 5; gauze and goal areas follow the paper (`narrow` is the code's).
+//! - The gauze weighs 0.34 g (soaked cotton) instead of 50 g and lies at rest from the first step.
+//! - dVRK's joint limits; the jaws stay above the tray instead of running into it.
+//! - An instrument that would crush the gauze yields.
+//! - The expert lifts straight up before it moves sideways. Seeds determine the episode.
+//!
+//! # Version History
+//!
+//! - v0: first version.
+
+use nalgebra::Vector3;
+use trocar_proto::goal::Reward;
+use trocar_proto::spec::OptionSpec;
+use trocar_proto::{Options, Rejection, TaskSpec};
+
+use super::Task;
+use super::gauze::{self, Gauze};
+use super::objects;
+use super::options::{self, Preset};
+use super::pick::Pick;
+use super::psm_scene::{
+    self, MAX_STEPS, PaperAction, PsmArm, SECONDS_PER_STEP, Station, Turn, WORKSPACE,
+};
+use super::start::{self, Start};
+use crate::sim::frames::Pose;
+use crate::sim::grasp::Grasp;
+use crate::sim::instrument::TIP_OFFSET;
+use crate::sim::random::Rng;
+use crate::sim::world::World;
+
+/// Height of the tip over the sheet beside the pleat when the jaws close, m: they must not press on
+/// it.
+const GRASP_CLEARANCE: f64 = 0.15e-3;
+
+/// Height above the tray's floor from which a tie may hold the gauze under `grasp = "weld"`, m.
+/// Source: the original, which takes 2.5 mm from where it lay.
+const WELD_LIFT: f64 = 0.0025;
+
+/// Spread of goals under `spawn = "narrow"`, m. Source: the original.
+const GOAL_SPREAD: f64 = 0.02;
+
+/// Height of goals under `spawn = "narrow"`, m. Source: the original.
+const GOAL_HEIGHT: f64 = 0.7252;
+
+/// Height of the lowest goal over the tray's rim, m: a gauze that hangs in the jaws passes over it.
+const LOWEST_GOAL: f64 = 0.005;
+
+/// The task; see the module's description.
+#[derive(Debug, Clone)]
+pub struct GauzeRetrieve {
+    arm: PsmArm,
+    gauze: Gauze,
+    grasp: Grasp,
+    start: Start,
+    narrow: bool,
+    preset: Preset,
+    reward: Reward,
+    goal: Vector3<f64>,
+}
+
+impl Task for GauzeRetrieve {
+    const ID: &'static str = "GauzeRetrieve-v0";
+
+    fn options() -> Vec<OptionSpec> {
+        let [grasp, grasp_distance] = options::grasp();
+        vec![
+            options::reward(),
+            grasp,
+            grasp_distance,
+            options::action(),
+            options::observation(),
+            options::preset(),
+            options::spawn(),
+            start::option(),
+            options::grasp_domain(),
+            options::setup(&PsmArm::setup_rows(1)),
+        ]
+    }
+
+    fn new(options: &Options) -> Result<(Self, World), Rejection> {
+        let preset = options::preset_of(options);
+        let mut world = gauze::furnished_world(preset);
+        let gauze = Gauze::insert(&mut world, preset);
+        let paper = PaperAction { turn: Turn::Nothing, jaw: true };
+        let start = [WORKSPACE.min.x, WORKSPACE.max.y, WORKSPACE.centre().z + TIP_OFFSET];
+        let station = Station::psm1(start, gauze::floor());
+        let grasp = Grasp::new(&mut world, options::grasp_of(options), gauze.body());
+        let task = Self {
+            arm: PsmArm::insert(&mut world, options, paper, station)?,
+            gauze,
+            grasp,
+            start: Start::of(options),
+            narrow: options.text("spawn") == Some("narrow"),
+            preset,
+            reward: options::reward_of(options),
+            goal: Vector3::zeros(),
+        };
+        Ok((task, world))
+    }
+
+    fn spec(&self) -> TaskSpec {
+        let mut observation = self.arm.observation_elements();
+        observation.extend(objects::observation_elements("gauze", "crest", self.preset));
+        TaskSpec {
+            id: Self::ID.into(),
+            summary: "Pick up a gauze and bring its middle to a point.".into(),
+            max_steps: MAX_STEPS,
+            seconds_per_step: SECONDS_PER_STEP,
+            action: self.arm.action_elements(),
+            observation,
+            goal: Some(objects::goal_spec("gauze", self.preset)),
+            reward: self.reward,
+            options: Self::options(),
+        }
+    }
+
+    fn begins_prepared(&self) -> bool {
+        self.start != Start::Reset
+    }
+
+    fn prepare(&mut self, world: &mut World, rng: &mut Rng) {
+        start::bring_about(self, world, rng, Self::begin, |task, world| {
+            task.pick(world).progress(&task.arm, world) >= task.start
+        });
+    }
+
+    fn reset(&mut self, world: &mut World, rng: &mut Rng) {
+        if self.begins_prepared() {
+            self.goal = self.draw_goal(rng);
+        } else {
+            self.begin(world, rng);
+        }
+    }
+
+    fn apply(&mut self, world: &mut World, action: Option<&[f32]>) {
+        let gauze = self.gauze.body();
+        psm_scene::step([&mut self.arm], world, &mut self.grasp, action, |world| {
+            world.pose(gauze).translation.z > gauze::floor() + WELD_LIFT
+        });
+    }
+
+    fn observe(
+        &self,
+        world: &World,
+        observation: &mut [f32],
+        achieved: &mut [f32],
+        desired: &mut [f32],
+    ) {
+        let (arm, object) = observation.split_at_mut(PsmArm::OBSERVED);
+        self.arm.observe(world, arm);
+        let gauze = world.pose(self.gauze.body());
+        let crest = gauze * Pose::from(Gauze::crest());
+        objects::observe(&gauze, &crest, self.arm.scene_from_wrist(), self.preset, object);
+        objects::write_goal(&gauze.translation.vector, self.preset, achieved);
+        objects::write_goal(&self.goal, self.preset, desired);
+    }
+
+    fn expert(&self, world: &World, action: &mut [f32]) {
+        self.pick(world).act(&self.arm, world, action);
+    }
+}
+
+impl GauzeRetrieve {
+    /// Lays the gauze, draws a goal, brings the arm to its start.
+    fn begin(&mut self, world: &mut World, rng: &mut Rng) {
+        if self.narrow {
+            self.gauze.lay_near_the_middle(world, rng);
+        } else {
+            self.gauze.lay_anywhere(world, rng);
+        }
+        self.grasp.reset(world, self.gauze.body());
+        self.goal = self.draw_goal(rng);
+        self.arm.reset(world, rng);
+    }
+
+    fn draw_goal(&self, rng: &mut Rng) -> Vector3<f64> {
+        if self.narrow {
+            objects::goal_near_the_middle(GOAL_SPREAD, GOAL_HEIGHT, rng)
+        } else {
+            objects::goal_anywhere(gauze::rim() + LOWEST_GOAL, rng)
+        }
+    }
+
+    /// What is to be done now.
+    fn pick(&self, world: &World) -> Pick {
+        let gauze = world.pose(self.gauze.body());
+        let tip = gauze * Pose::translation(0.0, 0.0, Gauze::sheet() + GRASP_CLEARANCE);
+        let wrist = tip.translation.vector + Vector3::z() * TIP_OFFSET;
+        let grasp = Pose::from_parts(wrist.into(), psm_scene::down());
+        let carried = gauze.translation.vector;
+        Pick { object: self.gauze.body(), grasp, carried, goal: self.goal }
+    }
+}

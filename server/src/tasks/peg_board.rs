@@ -1,0 +1,271 @@
+//! The board with its pegs and the blocks on them, in the scene frame of
+//! [`psm_scene`](super::psm_scene).
+
+use std::f64::consts::PI;
+
+use nalgebra::Vector3;
+use trocar_proto::goal::SuccessRule;
+use trocar_proto::spec::GoalSpec;
+
+use super::objects::THEATRE;
+use super::options::{self, Preset};
+use super::tray;
+use crate::assets::Model;
+use crate::sim::frames::{self, Aabb, Pose};
+use crate::sim::random::Rng;
+use crate::sim::world::{BodyId, Motion, World};
+
+/// Middle of the board, m. Source: the original.
+const ORIGIN: [f64; 3] = [0.55, 0.0, 0.6861];
+
+/// Pegs to which blocks go. Source: the original.
+const TARGETS: std::ops::Range<usize> = 0..6;
+
+/// Pegs on which blocks begin. Source: the original.
+const SOURCES: std::ops::Range<usize> = 6..12;
+
+/// How far a block is turned at most at the beginning, rad. Source: the original.
+const YAW: f64 = 30.0 * PI / 180.0;
+
+/// Distances of a block's middle from its peg's below which the block is on it, m: a block that
+/// stands on the board is 3.75 mm lower. Source: the original.
+const HORIZONTAL: f64 = 0.005;
+const VERTICAL: f64 = 0.004;
+
+/// A block in the world: a triangular ring.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Block {
+    body: BodyId,
+}
+
+impl Block {
+    /// Mass under `preset = "surrol"`, kg. Source: the original.
+    const SURROL_MASS: f64 = 0.01;
+
+    /// Number of its walls.
+    pub const WALLS: usize = 3;
+
+    /// The body in the world.
+    pub fn body(&self) -> BodyId {
+        self.body
+    }
+
+    /// The middle of one of its walls (0, 1, 2), scene frame: x towards the axis of the ring, z along
+    /// it.
+    pub fn scene_from_wall(&self, world: &World, wall: usize) -> Pose {
+        world.pose(self.body) * Self::block_from_wall(wall)
+    }
+
+    /// The middle of one of its walls (0, 1, 2) in the block.
+    pub fn block_from_wall(wall: usize) -> Pose {
+        Model::block().body_from(["wall_0", "wall_1", "wall_2"][wall])
+    }
+
+    /// Half its height, m.
+    pub fn half_height() -> f64 {
+        Model::block().aabb(&Pose::identity()).max.z
+    }
+
+    /// Distance of its corners from its axis, m.
+    pub fn radius() -> f64 {
+        let wall = Model::block().parts[0].aabb(&Pose::identity());
+        wall.min.xy().norm()
+    }
+
+    /// Half the thickness of its walls, m.
+    pub fn half_wall() -> f64 {
+        let wall = &Model::block().parts[0];
+        0.5 * wall.aabb(&Pose::identity()).extents().x
+    }
+
+    /// Stands the block on the board about peg `peg`, at rest, turned by `yaw` (rad).
+    pub fn stand(&self, world: &mut World, peg: usize, yaw: f64) {
+        world.place(self.body, &Self::standing(peg, yaw));
+    }
+
+    fn standing(peg: usize, yaw: f64) -> Pose {
+        let peg = PegBoard::peg(peg);
+        frames::pose([peg.x, peg.y, PegBoard::top() + Self::half_height()], [0.0, 0.0, yaw])
+    }
+}
+
+/// How an episode begins.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Layout {
+    /// The block that is to be moved.
+    pub block: Block,
+    /// The peg to which it is to go.
+    pub target: usize,
+}
+
+/// The board and what is on it.
+#[derive(Debug, Clone)]
+pub struct PegBoard {
+    blocks: Vec<Block>,
+}
+
+impl PegBoard {
+    /// Number of its pegs.
+    pub const PEGS: usize = 12;
+
+    /// Puts the board and so many blocks into a world, see [`tray::bare_table`]; at most six.
+    pub fn insert(world: &mut World, preset: Preset, blocks: usize) -> Self {
+        tray::furnish(world, Model::pegboard(), ORIGIN);
+        let model = Model::block();
+        let mass = match preset {
+            Preset::Paper => model.mass,
+            Preset::Surrol => Block::SURROL_MASS,
+        };
+        let mut block = |peg| {
+            let at = Block::standing(peg, 0.0);
+            let body = world.insert(Motion::Free { mass }, &at, model.friction, &model.parts);
+            Block { body }
+        };
+        Self { blocks: SOURCES.take(blocks).map(&mut block).collect() }
+    }
+
+    /// Height of the board's top, m.
+    pub fn top() -> f64 {
+        ORIGIN[2] + Model::pegboard().parts[0].aabb(&Pose::identity()).max.z
+    }
+
+    /// Middle of a peg (targets 0 to 5, sources 6 to 11), m.
+    pub fn peg(index: usize) -> Vector3<f64> {
+        let peg = Model::pegboard().body_from(&format!("peg_{index}"));
+        peg.translation.vector + Vector3::from(ORIGIN)
+    }
+
+    /// The box around a peg, as blocks and fingers meet it, m.
+    pub fn peg_box(index: usize) -> Aabb {
+        Model::pegboard().parts[1 + index].aabb(&frames::pose(ORIGIN, [0.0; 3]))
+    }
+
+    /// Radius of the pegs, as blocks and fingers meet them, m.
+    pub fn peg_radius() -> f64 {
+        0.5 * Self::peg_box(0).extents().x
+    }
+
+    /// The blocks.
+    pub fn blocks(&self) -> &[Block] {
+        &self.blocks
+    }
+
+    /// Stands the blocks on pegs drawn from the sources, at rest, each turned by up to 30° either
+    /// way, and draws a block and a target for it.
+    pub fn lay_out(&self, world: &mut World, rng: &mut Rng) -> Layout {
+        let target = Self::draw_target(rng);
+        let sources = shuffled(SOURCES, rng);
+        for (block, peg) in self.blocks.iter().zip(sources) {
+            block.stand(world, peg, rng.uniform(-YAW, YAW));
+        }
+        Layout { block: self.blocks[rng.index(self.blocks.len())], target }
+    }
+
+    /// A peg drawn from the targets.
+    pub fn draw_target(rng: &mut Rng) -> usize {
+        TARGETS.start + rng.index(TARGETS.len())
+    }
+
+    /// Whether a block is on a peg: as the goal's rule has it.
+    pub fn is_on(world: &World, block: Block, peg: usize) -> bool {
+        let off = world.pose(block.body).translation.vector - Self::peg(peg);
+        off.xy().norm() < HORIZONTAL && off.z.abs() < VERTICAL
+    }
+
+    /// The goal of bringing a block onto a peg: the middle of the one to that of the other.
+    pub fn goal_spec(preset: Preset) -> GoalSpec {
+        let scale = options::position_scale(preset);
+        GoalSpec {
+            elements: options::position_elements("block", "scene", &THEATRE, preset),
+            success: SuccessRule::Seated {
+                horizontal: (HORIZONTAL * scale) as f32,
+                vertical: (VERTICAL * scale) as f32,
+            },
+        }
+    }
+}
+
+/// The numbers of `range` in an order drawn at random.
+fn shuffled(range: std::ops::Range<usize>, rng: &mut Rng) -> Vec<usize> {
+    let mut numbers: Vec<_> = range.collect();
+    for last in (1..numbers.len()).rev() {
+        numbers.swap(last, rng.index(last + 1));
+    }
+    numbers
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn board(preset: Preset, blocks: usize) -> (World, PegBoard) {
+        let mut world = tray::bare_table(preset);
+        let board = PegBoard::insert(&mut world, preset, blocks);
+        (world, board)
+    }
+
+    #[test]
+    fn blocks_rest_where_they_are_put() {
+        for preset in [Preset::Paper, Preset::Surrol] {
+            let (mut world, board) = board(preset, 6);
+            let mut rng = Rng::new(1, 0);
+            for _ in 0..4 {
+                board.lay_out(&mut world, &mut rng);
+                assert!(world.at_rest());
+                let poses: Vec<_> = board.blocks().iter().map(|b| world.pose(b.body())).collect();
+                for block in board.blocks() {
+                    world.wake(block.body());
+                }
+                for _ in 0..240 {
+                    world.step();
+                }
+                assert!(world.at_rest(), "they fall asleep again");
+                for (block, put) in board.blocks().iter().zip(poses) {
+                    let moved = world.pose(block.body()).inv_mul(&put);
+                    assert!(moved.translation.vector.norm() < 0.02e-3, "{moved}");
+                    assert!(moved.rotation.angle() < 1e-3, "{moved}");
+                    let bottom = world.pose(block.body()).translation.z - Block::half_height();
+                    assert!(PegBoard::top() - bottom < 0.1e-3, "sunk into the board");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn every_episode_has_its_pegs_blocks_and_target() {
+        let (mut world, board) = board(Preset::Paper, 4);
+        let mut rng = Rng::new(2, 0);
+        let (mut sources, mut targets, mut chosen) = ([0; 12], [0; 12], [0; 4]);
+        for _ in 0..600 {
+            let layout = board.lay_out(&mut world, &mut rng);
+            targets[layout.target] += 1;
+            let is_layouts = |block: &&Block| **block == layout.block;
+            chosen[board.blocks().iter().position(|b| is_layouts(&b)).unwrap()] += 1;
+            for block in board.blocks() {
+                let on: Vec<_> =
+                    (0..12).filter(|peg| PegBoard::is_on(&world, *block, *peg)).collect();
+                assert_eq!(on.len(), 1, "each block is on one peg");
+                sources[on[0]] += 1;
+                let [_, _, yaw] = frames::euler_xyz(&world.pose(block.body()).rotation);
+                assert!(yaw.abs() <= YAW + 1e-6);
+            }
+        }
+        // Standard deviations are below 12.
+        assert!(targets[TARGETS].iter().all(|n: &i32| (*n - 100).abs() < 50), "{targets:?}");
+        assert!(sources[SOURCES].iter().all(|n: &i32| (*n - 400).abs() < 60), "{sources:?}");
+        assert!(chosen.iter().all(|n: &i32| (*n - 150).abs() < 55), "{chosen:?}");
+    }
+
+    #[test]
+    fn pegs_are_where_the_original_has_them() {
+        assert!((PegBoard::peg(0) - Vector3::new(0.52, 0.043, 0.7081)).norm() < 1e-9);
+        assert!((PegBoard::peg(11) - Vector3::new(0.5515, -0.046_919, 0.7081)).norm() < 1e-9);
+        assert!((PegBoard::top() - 0.6971).abs() < 1e-9);
+        let peg = PegBoard::peg_box(7);
+        assert!((peg.extents() - Vector3::new(0.002, 0.002, 0.028)).norm() < 1e-9);
+        assert!((peg.centre() - PegBoard::peg(7)).norm() < 1e-9);
+        assert!((Block::half_height() - 0.00725).abs() < 1e-9);
+        assert!((Block::half_wall() - 0.0008).abs() < 1e-9);
+        assert!((Block::radius() - 0.00904).abs() < 1e-5);
+    }
+}

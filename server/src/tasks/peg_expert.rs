@@ -1,0 +1,189 @@
+//! The scripted expert that moves a block from peg to peg with one arm.
+//!
+//! It looks only at the present state, so it picks up again what it has lost: open the jaws above a
+//! wall of the block, go down with one finger between wall and peg, close, lift the block over the
+//! pegs, bring it over its target, let it down, open, and leave.
+
+use nalgebra::Vector3;
+
+use super::peg_board::{Block, PegBoard};
+use super::pick::{jaws_across, step_towards};
+use super::psm_scene::PsmArm;
+use super::start::Start;
+use crate::sim::frames::Pose;
+use crate::sim::instrument::{FINGER_HALF, JAW_CLOSED, JAW_OPEN, TIP_OFFSET};
+use crate::sim::world::World;
+
+/// How far the tips of closed jaws reach below the block's top, m.
+const DEPTH: f64 = 3.5e-3;
+
+/// How high what is carried, and an empty jaw, pass over the pegs, m.
+const PASS: f64 = 2e-3;
+
+/// How exactly the wrist is above the grasp before it goes down, m and rad.
+const ALIGNED: f64 = 0.4e-3;
+const TURNED: f64 = 0.03;
+
+/// How low the wrist must be for the jaws to close, m above the grasp.
+const LOW: f64 = 0.3e-3;
+
+/// Room that may be missing beside a wall for a radian less to turn, m.
+const TIGHT: f64 = 0.1e-3;
+
+/// Jaws open at least this far go down, or leave, rad.
+const OPEN: f64 = 0.9 * JAW_OPEN;
+
+/// How far the peg is from the block's axis when the block is let down, m, away from the wall that
+/// is held: there the jaws have room to open.
+const OFF_AXIS: f64 = 2e-3;
+
+/// How exactly the block is over its target before it is let down, m.
+const OVER: f64 = 0.7e-3;
+
+/// How far a block that is being let down may be off, m: more, and it is lifted again.
+const STILL_OVER: f64 = 2.5e-3;
+
+/// Height over the board at which a block is let go, m.
+const LET_GO: f64 = 0.6e-3;
+
+/// A block that is to go to a target.
+#[derive(Debug, Clone, Copy)]
+pub struct Transfer {
+    /// The block.
+    pub block: Block,
+    /// The peg to which it is to go.
+    pub target: usize,
+}
+
+impl Transfer {
+    /// Writes what `arm` is to do now.
+    pub fn act(&self, arm: &PsmArm, world: &World, action: &mut [f32]) {
+        let (target, jaw) = self.waypoint(arm, world);
+        arm.encode(&step_towards(arm.scene_from_wrist(), &target), jaw, action);
+    }
+
+    /// How far the work is done.
+    pub fn progress(&self, arm: &PsmArm, world: &World) -> Start {
+        let block = world.pose(self.block.body());
+        if arm.holds(world, self.block.body()) {
+            let passes = block.translation.z - Block::half_height() - peg_top();
+            return if passes >= 0.5 * PASS { Start::Lift } else { Start::Pick };
+        }
+        let (grasp, jaw) = self.pick(arm, world);
+        let is_there = distance(&grasp, arm.scene_from_wrist()) < ALIGNED;
+        let closes = jaw < 0.5 * JAW_OPEN;
+        if is_there && closes && arm.opening(world) > OPEN { Start::Approach } else { Start::Reset }
+    }
+
+    fn waypoint(&self, arm: &PsmArm, world: &World) -> (Pose, f64) {
+        let wrist = arm.scene_from_wrist();
+        let by = |way: Vector3<f64>| Pose::from(way) * wrist;
+        let held = arm.holds(world, self.block.body());
+        let block = world.pose(self.block.body());
+        let height = block.translation.z - Block::half_height() - PegBoard::top();
+        if PegBoard::is_on(world, self.block, self.target) && (height < LET_GO || !held) {
+            // Open, then straight up and out of the way.
+            let up = if arm.opening(world) > OPEN { pass() - wrist.translation.z } else { 0.0 };
+            return (by(Vector3::z() * up.max(0.0)), JAW_OPEN);
+        }
+        if held { (by(self.carry(&block, wrist)), JAW_CLOSED) } else { self.pick(arm, world) }
+    }
+
+    /// The way on which a held block goes now.
+    fn carry(&self, block: &Pose, wrist: &Pose) -> Vector3<f64> {
+        let held = (0..Block::WALLS)
+            .map(|wall| block * Block::block_from_wall(wall))
+            .min_by(|a, b| distance(a, wrist).total_cmp(&distance(b, wrist)))
+            .expect("a block has walls");
+        let inwards = level(&(held.rotation * Vector3::x()));
+        let goal = PegBoard::peg(self.target) - inwards * OFF_AXIS;
+        let way = level(&(goal - block.translation.vector));
+        let bottom = block.translation.z - Block::half_height();
+        let passes = bottom - peg_top();
+        let near = if passes < 0.0 { STILL_OVER } else { OVER };
+        if way.norm() < near {
+            way + Vector3::z() * (PegBoard::top() - bottom)
+        } else if passes < 0.5 * PASS {
+            Vector3::z() * (PASS - passes)
+        } else {
+            way + Vector3::z() * (PASS - passes)
+        }
+    }
+
+    /// Where the wrist goes to grasp the block, and what the jaws do.
+    fn pick(&self, arm: &PsmArm, world: &World) -> (Pose, f64) {
+        let wrist = arm.scene_from_wrist();
+        let block = world.pose(self.block.body());
+        let cost = |(pose, missing): &(Pose, f64)| turn(pose, wrist) + missing / TIGHT;
+        let (grasp, _) = (0..Block::WALLS)
+            .map(|wall| grasp(&block, wall, wrist))
+            .min_by(|a, b| cost(a).total_cmp(&cost(b)))
+            .expect("a block has walls");
+        let off = wrist.translation.vector - grasp.translation.vector;
+        let aligned = off.xy().norm() < ALIGNED && turn(&grasp, wrist) < TURNED;
+        if aligned && off.z < LOW {
+            return (grasp, JAW_CLOSED);
+        }
+        if aligned && arm.opening(world) > OPEN {
+            return (grasp, JAW_OPEN);
+        }
+        let hover = grasp.translation.z.max(pass());
+        let mut target = grasp;
+        target.translation.z = hover;
+        if wrist.translation.z < hover - PASS {
+            // Out from between the pegs first.
+            target = *wrist;
+            target.translation.z = hover;
+        }
+        (target, JAW_OPEN)
+    }
+}
+
+/// The wrist that grasps a wall of a block: jaws straight down across the wall, the inner finger
+/// between wall and peg. Also what is missing of the room for it, m.
+fn grasp(block: &Pose, wall: usize, wrist: &Pose) -> (Pose, f64) {
+    let wall = block * Block::block_from_wall(wall);
+    let inwards = level(&(wall.rotation * Vector3::x()));
+    // A block that lies on its side has no wall to grasp: any direction does.
+    let inwards = inwards.try_normalize(1e-3).unwrap_or(Vector3::x());
+    let middle = wall.translation.vector;
+    let (sin, cos) = libm::sincos(0.5 * JAW_OPEN);
+    // From the middle of open jaws: the far side of a finger at its tip, the near side at the block's
+    // top.
+    let far = TIP_OFFSET * sin + 2.0 * FINGER_HALF.y * cos;
+    let near = (TIP_OFFSET - DEPTH) * sin / cos;
+    // So far outside the wall's middle the jaws' may be at most, and must be at least.
+    let most = near - Block::half_wall();
+    let pegs = (0..PegBoard::PEGS).map(PegBoard::peg);
+    let in_ring =
+        pegs.filter(|peg| level(&(peg - block.translation.vector)).norm() < Block::radius());
+    let least = in_ring
+        .map(|peg| far - ((peg - middle).dot(&inwards) - PegBoard::peg_radius()))
+        .fold(-most, f64::max);
+    let tip = middle - inwards * (0.5 * (least + most));
+    let top = block.translation.z + Block::half_height();
+    let at = Vector3::new(tip.x, tip.y, top - DEPTH + TIP_OFFSET);
+    let across = Vector3::z().cross(&inwards);
+    (Pose::from_parts(at.into(), jaws_across(&across, wrist)), (least - most).max(0.0))
+}
+
+/// Height of a wrist whose jaws pass over the pegs, m.
+fn pass() -> f64 {
+    peg_top() + PASS + TIP_OFFSET
+}
+
+fn peg_top() -> f64 {
+    PegBoard::peg_box(0).max.z
+}
+
+fn level(vector: &Vector3<f64>) -> Vector3<f64> {
+    Vector3::new(vector.x, vector.y, 0.0)
+}
+
+fn distance(one: &Pose, other: &Pose) -> f64 {
+    (one.translation.vector - other.translation.vector).xy().norm()
+}
+
+fn turn(one: &Pose, other: &Pose) -> f64 {
+    one.rotation.angle_to(&other.rotation)
+}

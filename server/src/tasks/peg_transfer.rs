@@ -1,0 +1,253 @@
+//! Peg transfer: a PSM takes a block from one peg to another.
+//!
+//! # Description
+//!
+//! Four blocks, triangular rings, stand on a board about pegs. PSM1 is to lift one of them off its
+//! peg and put it onto another one. Fingers and block touch by friction alone: nothing ever ties a
+//! block to the jaws.
+//!
+//! # Action Space
+//!
+//! `action = "paper"`, each number in [−1, 1]; the other modes are in [`psm_scene`](super::psm_scene).
+//!
+//! | Num | Meaning | Min | Max | Unit |
+//! |---|---|---|---|---|
+//! | 0 | dx, scene frame | −1 | 1 | 10 mm |
+//! | 1 | dy, scene frame | −1 | 1 | 10 mm |
+//! | 2 | dz, scene frame | −1 | 1 | 10 mm |
+//! | 3 | turn about the vertical | −1 | 1 | 30° |
+//! | 4 | jaw: below 0 close, else open to 40° | −1 | 1 | – |
+//!
+//! The movement starts from the sensed wrist, takes 0.2 s along a smooth profile, and is confined
+//! to the workspace: see [`psm_scene`](super::psm_scene).
+//!
+//! # Observation Space
+//!
+//! | Num | Meaning | Min | Max | Unit |
+//! |---|---|---|---|---|
+//! | 0 | wrist x (wrist-yaw axis, as sensed), scene frame | 0.495 | 0.605 | m |
+//! | 1 | wrist y | −0.055 | 0.055 | m |
+//! | 2 | wrist z | 0.6842 | 0.7722 | m |
+//! | 3 | roll of the wrist link; −π/2 under `paper` | −π | π | rad |
+//! | 4 | pitch; 0 under `paper` | −π/2 | π/2 | rad |
+//! | 5 | yaw; π/2 at the start | −π | π | rad |
+//! | 6 | jaw angle: the opening between the fingers | −0.1 | 1 | rad |
+//! | 7–9 | block x, y, z (its centre), scene frame | 0.292, −0.268, 0.6 | 0.708, 0.268, 0.9 | m |
+//! | 10–12 | block less wrist x, y, z, scene frame | −0.313, −0.323, −0.1732 | 0.213, 0.323, 0.2158 | m |
+//! | 13–15 | middle of the block's wall 1 x, y, z, scene frame | 0.292, −0.268, 0.6 | 0.708, 0.268, 0.9 | m |
+//! | 16–18 | roll, pitch, yaw of that wall | −π, −π/2, −π | π, π/2, π | rad |
+//!
+//! The angles are extrinsic XYZ Euler angles, R = Rz(yaw)·Ry(pitch)·Rx(roll): 3–5 of the wrist-yaw
+//! link, whose y axis points along the jaws and whose z axis is their hinge; 16–18 of a frame whose
+//! x axis points from the wall to the axis of the block, which is its z axis. What is outside its
+//! range is shown at its end. Achieved goal: the centre of the block (x, y, z, m); desired goal: the
+//! centre of the target peg. Both ignore `domain`'s noise and encoder errors.
+//!
+//! # Rewards
+//!
+//! `sparse` (default): 0 where the block is on the peg, −1 otherwise. It is on the peg where the goals
+//! are less than 5 mm apart in x and y and less than 4 mm in z: a block that stands on the board is
+//! 3.75 mm below the peg's centre. The jaws may still hold it. `dense`: minus the distance of the
+//! goals, m. Both are functions of the goals alone.
+//!
+//! # Starting State
+//!
+//! The wrist at the corner (0.50, 0.05, 0.7552) m, jaws closed and straight down. Four blocks stand
+//! about pegs drawn from the six sources, each turned by up to ±30°; one of them is to go to a peg
+//! drawn from the six targets.
+//!
+//! # Episode End
+//!
+//! Truncated after 50 steps; never terminated.
+//!
+//! # Options
+//!
+//! `reward`, `action`, `observation`, and:
+//!
+//! - `grasp`: `interact`: friction alone; `approx`: a tie between wrist and block when jaws close whose
+//!   tip is within `grasp_distance` (0.002 m) of it, through which the fingers then pass; `weld`:
+//!   friction until the block's centre is 10 mm above those of the pegs, then a tie.
+//! - `start`: `approach` (the open jaws are about a wall), `pick` (they hold it) or `lift` (above the
+//!   pegs): one of 64 states that the expert made, with a new target.
+//! - `preset = "surrol"`: positions, goals and tolerances in units of 0.2 m (metres × 5), blocks of
+//!   10 g, gripped with 3 N instead of 1 N, `grasp = "weld"` unless given.
+//! - `domain`: `friction` (coefficient of the jaws), `observation_noise` (m, on observed positions),
+//!   `joint_offset` (rad, on every rotary joint), `latency` (steps; the arm holds until the first
+//!   action arrives).
+//! - `setup`: `base` (x, y, z in m and turn in rad of the arm's base), `table_height` (m). The arm
+//!   must reach the whole workspace.
+//!
+//! # Differences from the original
+//!
+//! - The block is held by friction from beginning to end; the original fixes it to the wrist when it
+//!   is 10 mm above the pegs' centres.
+//! - Metres instead of metres × 5.
+//! - Blocks weigh 1.44 g (acetal) instead of 10 g, and stand on the board from the first step instead
+//!   of falling onto it.
+//! - dVRK's joint limits; the jaws stay above the board instead of running into it.
+//! - An instrument that would crush a block yields.
+//! - The expert grasps the wall to which it has to turn least, with one finger in the middle of the
+//!   room between wall and peg. Seeds determine the episode.
+//!
+//! # Version History
+//!
+//! - v0: first version.
+
+use trocar_proto::goal::Reward;
+use trocar_proto::spec::OptionSpec;
+use trocar_proto::{Options, Rejection, TaskSpec};
+
+use super::Task;
+use super::objects;
+use super::options::{self, Preset};
+use super::peg_board::{Layout, PegBoard};
+use super::peg_expert::Transfer;
+use super::psm_scene::{
+    self, MAX_STEPS, PaperAction, PsmArm, SECONDS_PER_STEP, Station, Turn, WORKSPACE,
+};
+use super::start::{self, Start};
+use super::tray;
+use crate::sim::grasp::Grasp;
+use crate::sim::instrument::TIP_OFFSET;
+use crate::sim::random::Rng;
+use crate::sim::world::World;
+
+/// Number of blocks. Source: the original.
+const BLOCKS: usize = 4;
+
+/// The wall of the block that is observed. Source: the original.
+const WALL: usize = 1;
+
+/// Height of the block's centre above that of its target from which a tie may hold it under
+/// `grasp = "weld"`, m. Source: the original.
+const WELD_LIFT: f64 = 0.01;
+
+/// The task; see the module's description.
+#[derive(Debug, Clone)]
+pub struct PegTransfer {
+    arm: PsmArm,
+    board: PegBoard,
+    grasp: Grasp,
+    start: Start,
+    preset: Preset,
+    reward: Reward,
+    layout: Layout,
+}
+
+impl Task for PegTransfer {
+    const ID: &'static str = "PegTransfer-v0";
+
+    fn options() -> Vec<OptionSpec> {
+        let [grasp, grasp_distance] = options::grasp();
+        vec![
+            options::reward(),
+            grasp,
+            grasp_distance,
+            options::action(),
+            options::observation(),
+            options::preset(),
+            start::option(),
+            options::grasp_domain(),
+            options::setup(&PsmArm::setup_rows(1)),
+        ]
+    }
+
+    fn new(options: &Options) -> Result<(Self, World), Rejection> {
+        let preset = options::preset_of(options);
+        let mut world = tray::bare_table(preset);
+        let board = PegBoard::insert(&mut world, preset, BLOCKS);
+        let paper = PaperAction { turn: Turn::Vertical, jaw: true };
+        let start = [WORKSPACE.min.x, WORKSPACE.max.y, WORKSPACE.max.z + TIP_OFFSET];
+        let station = Station::psm1(start, PegBoard::top());
+        let layout = Layout { block: board.blocks()[0], target: 0 };
+        let grasp = Grasp::new(&mut world, options::grasp_of(options), layout.block.body());
+        let task = Self {
+            arm: PsmArm::insert(&mut world, options, paper, station)?,
+            layout,
+            grasp,
+            start: Start::of(options),
+            board,
+            preset,
+            reward: options::reward_of(options),
+        };
+        Ok((task, world))
+    }
+
+    fn spec(&self) -> TaskSpec {
+        let mut observation = self.arm.observation_elements();
+        observation.extend(objects::observation_elements("block", "wall 1", self.preset));
+        TaskSpec {
+            id: Self::ID.into(),
+            summary: "Take a block from its peg to another one.".into(),
+            max_steps: MAX_STEPS,
+            seconds_per_step: SECONDS_PER_STEP,
+            action: self.arm.action_elements(),
+            observation,
+            goal: Some(PegBoard::goal_spec(self.preset)),
+            reward: self.reward,
+            options: Self::options(),
+        }
+    }
+
+    fn begins_prepared(&self) -> bool {
+        self.start != Start::Reset
+    }
+
+    fn prepare(&mut self, world: &mut World, rng: &mut Rng) {
+        start::bring_about(self, world, rng, Self::begin, |task, world| {
+            task.transfer().progress(&task.arm, world) >= task.start
+        });
+    }
+
+    fn reset(&mut self, world: &mut World, rng: &mut Rng) {
+        if self.begins_prepared() {
+            self.layout.target = PegBoard::draw_target(rng);
+        } else {
+            self.begin(world, rng);
+        }
+    }
+
+    fn apply(&mut self, world: &mut World, action: Option<&[f32]>) {
+        let Layout { block, target } = self.layout;
+        let lifted = PegBoard::peg(target).z + WELD_LIFT;
+        psm_scene::step([&mut self.arm], world, &mut self.grasp, action, |world| {
+            world.pose(block.body()).translation.z > lifted
+        });
+    }
+
+    fn observe(
+        &self,
+        world: &World,
+        observation: &mut [f32],
+        achieved: &mut [f32],
+        desired: &mut [f32],
+    ) {
+        let Layout { block, target } = self.layout;
+        let (arm, object) = observation.split_at_mut(PsmArm::OBSERVED);
+        self.arm.observe(world, arm);
+        let centre = world.pose(block.body());
+        let wall = block.scene_from_wall(world, WALL);
+        objects::observe(&centre, &wall, self.arm.scene_from_wrist(), self.preset, object);
+        objects::write_goal(&centre.translation.vector, self.preset, achieved);
+        objects::write_goal(&PegBoard::peg(target), self.preset, desired);
+    }
+
+    fn expert(&self, world: &World, action: &mut [f32]) {
+        self.transfer().act(&self.arm, world, action);
+    }
+}
+
+impl PegTransfer {
+    /// Sets up the blocks, draws a target, brings the arm to its start.
+    fn begin(&mut self, world: &mut World, rng: &mut Rng) {
+        self.layout = self.board.lay_out(world, rng);
+        self.grasp.reset(world, self.layout.block.body());
+        self.arm.reset(world, rng);
+    }
+
+    /// What is to be done.
+    fn transfer(&self) -> Transfer {
+        let Layout { block, target } = self.layout;
+        Transfer { block, target }
+    }
+}

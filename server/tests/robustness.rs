@@ -1,0 +1,109 @@
+//! Nothing explodes: every task under actions that press, squeeze, throw and push against walls.
+//!
+//! Each episode mixes the expert, which brings the jaws to where contact is, with full movements that
+//! last for several steps, into tray, pegs and walls, and with random ones. `TROCAR_SOAK=1` runs
+//! 1,000,000 environment steps over all tasks instead of 20,000.
+
+#![expect(clippy::unwrap_used, reason = "a panic is a test's report, in its helpers too")]
+
+use trocar_proto::Options;
+use trocar_server::sim::random::Rng;
+use trocar_server::tasks::Registry;
+
+/// Fastest that an object may become, m/s: ten times the instrument, and well below the 4 m/s to which
+/// the engine would clamp it.
+const FASTEST: f64 = 1.5;
+
+/// Deepest overlap of an object with anything at the end of a step, m: the radius of the wire, beyond
+/// which a needle would be through.
+const DEEPEST: f64 = 0.5e-3;
+
+/// Environment steps in which objects may leave the theatre: at most one in so many.
+const STEPS_PER_LOSS: u64 = 10_000;
+
+/// What an adversary does for some steps.
+enum Mood {
+    Expert,
+    /// The same full movement again and again, jaws as they are told.
+    Push(Vec<f32>),
+    Random,
+}
+
+fn mood(rng: &mut Rng, dim: usize) -> Mood {
+    match rng.index(3) {
+        0 => Mood::Expert,
+        1 => Mood::Push((0..dim).map(|_| [-1.0, 0.0, 1.0][rng.index(3)]).collect()),
+        _ => Mood::Random,
+    }
+}
+
+/// What was seen of a task.
+#[derive(Debug, Default)]
+struct Record {
+    steps: u64,
+    failures: u64,
+    losses: u64,
+    fastest: f64,
+    deepest: f64,
+}
+
+fn attack(id: &str, options: &Options, steps: u64) -> Record {
+    let mut env = Registry::builtin().make(id, options).unwrap();
+    let dim = env.spec().action_dim();
+    let (mut rng, mut record) = (Rng::new(23, 0), Record::default());
+    let mut action = vec![0.0; dim];
+    let mut seed = 0;
+    while record.steps < steps {
+        env.reset(Some(seed));
+        seed += 1;
+        while !env.needs_reset() {
+            let mood = mood(&mut rng, dim);
+            for _ in 0..=rng.index(8) {
+                if env.needs_reset() {
+                    break;
+                }
+                match &mood {
+                    Mood::Expert => env.expert(&mut action),
+                    Mood::Push(push) => action.copy_from_slice(push),
+                    Mood::Random => {
+                        action.fill_with(|| rng.uniform(-1.0, 1.0) as f32);
+                    }
+                }
+                record.steps += 1;
+                record.failures += u64::from(env.step(&action).is_err());
+                record.deepest = record.deepest.max(env.world().deepest_overlap());
+            }
+        }
+        record.fastest = record.fastest.max(env.world().fastest());
+        record.losses += u64::from(env.has_lost_objects());
+    }
+    record
+}
+
+#[test]
+fn nothing_explodes_under_adversarial_actions() {
+    let total: u64 = if std::env::var_os("TROCAR_SOAK").is_some() { 1_000_000 } else { 20_000 };
+    let registry = Registry::builtin();
+    let runs: Vec<_> = registry
+        .ids()
+        .flat_map(|id| {
+            let modes = ["paper", "cartesian"].map(|mode| Options::new().with_text("action", mode));
+            modes.map(|options| (id.to_string(), options))
+        })
+        .filter(|(id, options)| registry.spec(id, options).is_ok())
+        .collect();
+    let steps = total.div_ceil(runs.len() as u64);
+    let mut bad = vec![];
+    for (id, options) in &runs {
+        let record = attack(id, options, steps);
+        eprintln!("{id} {:?}: {record:?}", options.text("action"));
+        let fine = record.failures == 0
+            && record.fastest < FASTEST
+            && record.deepest < DEEPEST
+            && record.losses <= 1 + record.steps / STEPS_PER_LOSS;
+        if !fine {
+            bad.push(format!("{id} {options:?}: {record:?}"));
+        }
+    }
+    assert!(bad.is_empty(), "{bad:#?}");
+}
