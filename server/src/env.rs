@@ -499,4 +499,36 @@ mod tests {
         env.expert(&mut action);
         assert_eq!(action, [1.0]);
     }
+
+    #[test]
+    fn a_state_is_exported_from_as_many_steps_on_as_are_kept() {
+        let mut env = fragile();
+        Arc::make_mut(&mut env.spec).max_steps = 2 * RECORDED as u32;
+        let fresh = env.clone();
+        env.reset(Some(1));
+        for _ in 0..RECORDED {
+            env.step(&[0.25]).unwrap();
+        }
+        let last = env.export().unwrap();
+        assert_eq!(fresh.import(&last).unwrap().steps() as usize, RECORDED);
+        env.step(&[0.25]).unwrap();
+        let refusal = env.export().unwrap_err();
+        assert_eq!((refusal.code, refusal.field.as_str()), (Code::Unsupported, "snapshot"));
+        let mut clone = env.clone();
+        assert_eq!(clone.step(&[0.25]).unwrap(), env.step(&[0.25]).unwrap());
+        env.reset(None);
+        assert!(env.export().is_ok());
+    }
+
+    #[test]
+    fn a_failure_of_the_simulation_is_a_state_like_another() {
+        let mut env = fragile();
+        env.reset(None);
+        env.step(&[0.0]).unwrap();
+        env.step(&[1.0]).unwrap_err();
+        let mut copy = fragile().import(&env.export().unwrap()).unwrap();
+        assert_eq!((copy.steps(), copy.needs_reset()), (2, true));
+        copy.reset(None);
+        assert_eq!((copy.episode(), copy.step(&[0.0]).unwrap().reward), (1, 1.0));
+    }
 }

@@ -93,9 +93,10 @@ fn make((id, options): &(String, Options)) -> Env {
 /// Whether the task's documentation says that an element never changes under these options.
 fn documented_as_constant((id, options): &(String, Options), element: &Element) -> bool {
     let paper = options.text("action").is_none_or(|mode| mode == "paper");
-    // Fingers pass through an object that a tie will hold, which is carried as it lay.
-    let tied = options.text("grasp") == Some("approx");
-    let objects = ["mid arc", "crest", "wall 1"];
+    // Fingers pass through an object that a tie will hold, which is carried as it lay; so is a heavy one
+    // that is tied when it is lifted.
+    let tied = options.text("grasp") == Some("approx") || options.text("preset") == Some("surrol");
+    let objects = ["mid arc", "crest", "wall 1", "wall 2"];
     let is_tilt = objects.iter().any(|object| {
         ["roll", "pitch"].iter().any(|angle| element.name == format!("{object} {angle}"))
     });
@@ -108,8 +109,19 @@ fn documented_as_constant((id, options): &(String, Options), element: &Element) 
             let of_wrist = ["wrist link roll", "wrist link pitch"].contains(&name);
             paper && (of_wrist || (tied && is_tilt))
         }
+        "NeedleRegrasp-v0" => {
+            paper
+                && ["PSM1 wrist link roll", "PSM1 wrist link yaw"].contains(&element.name.as_str())
+        }
+        "BiPegTransfer-v0" => {
+            let of_wrists = ["PSM1", "PSM2"].iter().any(|arm| {
+                ["roll", "pitch"].iter().any(|a| element.name == format!("{arm} wrist link {a}"))
+            });
+            paper && (of_wrists || (tied && is_tilt))
+        }
         "GauzeRetrieve-v0" => {
-            paper && (element.name.starts_with("wrist link") || (tied && is_tilt))
+            let of_crest = tied && (is_tilt || element.name == "crest yaw");
+            paper && (element.name.starts_with("wrist link") || of_crest)
         }
         "EcmReach-v0" => paper && element.name == "camera yaw",
         "StaticTrack-v0" => element.name == "target in view",
@@ -145,6 +157,8 @@ fn dimensions_are_those_of_the_paper() {
     assert_eq!(dims("NeedlePick-v0"), (5, 19, 3, 50));
     assert_eq!(dims("GauzeRetrieve-v0"), (5, 19, 3, 50));
     assert_eq!(dims("PegTransfer-v0"), (5, 19, 3, 50));
+    assert_eq!(dims("NeedleRegrasp-v0"), (10, 35, 3, 50));
+    assert_eq!(dims("BiPegTransfer-v0"), (10, 35, 3, 50));
     assert_eq!(dims("EcmReach-v0"), (3, 6, 3, 50));
     assert_eq!(dims("MisOrient-v0"), (1, 9, 1, 50));
     assert_eq!(dims("StaticTrack-v0"), (3, 10, 3, 50));
@@ -267,6 +281,29 @@ fn the_expert_succeeds() {
             eprintln!("{variant:?}: {} of {seeds} seeds failed: {failed:?}", failed.len());
         }
         assert!(failed.len() <= may_fail, "{variant:?}: {failed:?}");
+    }
+}
+
+/// Jaws of half the friction still hold needles and blocks.
+#[test]
+fn the_expert_succeeds_with_slippery_jaws() {
+    let (seeds, may_fail) = if soak() { (500, 50) } else { (20, 2) };
+    for id in ["NeedlePick-v0", "PegTransfer-v0"] {
+        let options = Options::new().with("domain", table(&[("friction", &[0.5, 0.5])]));
+        let mut env = Registry::builtin().make(id, &options).unwrap();
+        let mut failed = vec![];
+        for seed in 0..seeds {
+            env.reset(Some(seed));
+            let mut last = None;
+            while !env.needs_reset() {
+                last = Some(env.step(&Seen::of(&env).expert).unwrap());
+            }
+            if !last.unwrap().is_success {
+                failed.push(seed);
+            }
+        }
+        eprintln!("{id}: {} of {seeds} seeds failed: {failed:?}", failed.len());
+        assert!(failed.len() <= may_fail, "{id}: {failed:?}");
     }
 }
 
@@ -578,25 +615,29 @@ fn randomised_domains_are_drawn_by_episode() {
 
 #[test]
 fn a_moved_arm_shows_and_does_the_same() {
-    let setups: [(&str, &[Row]); 6] = [
+    let setups: [(&str, &[Row]); 8] = [
         ("NeedleReach-v0", &[("table_height", &[0.67])]),
         ("NeedleReach-v0", &[("base", &[0.06, 0.25, 0.845, -1.9]), ("table_height", &[0.672])]),
         ("NeedlePick-v0", &[("table_height", &[0.67])]),
         ("GauzeRetrieve-v0", &[("table_height", &[0.67])]),
         ("PegTransfer-v0", &[("table_height", &[0.67])]),
+        ("BiPegTransfer-v0", &[("base_2", &[0.06, -0.235, 0.85, -1.25])]),
+        ("NeedleRegrasp-v0", &[("base", &[0.055, 0.235, 0.85, -1.9]), ("table_height", &[0.673])]),
         ("EcmReach-v0", &[("base", &[-0.04, 0.01, 1.01, 0.5])]),
     ];
     for (id, rows) in setups {
         let options = Options::new().with("setup", table(rows));
         let mut moved = Registry::builtin().make(id, &options).unwrap();
         let mut nominal = Registry::builtin().make(id, &Options::new()).unwrap();
+        // A block that is pressed onto the board moves the arm, and rounding the block.
+        let tolerance = if id == "BiPegTransfer-v0" { 1e-3 } else { 1e-5 };
         for seed in 0..20 {
             moved.reset(Some(seed));
             nominal.reset(Some(seed));
             for _ in 0..50 {
                 let (there, here) = (Seen::of(&moved), Seen::of(&nominal));
                 for (a, b) in there.observation[..3].iter().zip(&here.observation[..3]) {
-                    assert!((a - b).abs() < 1e-5, "{id}: {there:?} for {here:?}");
+                    assert!((a - b).abs() < tolerance, "{id}: {there:?} for {here:?}");
                 }
                 moved.step(&here.expert).unwrap();
                 nominal.step(&here.expert).unwrap();
