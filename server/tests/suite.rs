@@ -5,7 +5,7 @@
 use std::collections::BTreeMap;
 
 use trocar_proto::snapshot::Recipe;
-use trocar_proto::spec::{Element, OptionSpec, OptionValue};
+use trocar_proto::spec::{Element, OptionValue};
 use trocar_proto::{Code, Options, TaskSpec};
 use trocar_server::env::{Env, Step};
 use trocar_server::error::StepError;
@@ -249,61 +249,6 @@ fn episodes_are_keyed_by_seed_and_number() {
         fresh.reset(Some(0));
         assert_eq!((unseeded.seed(), unseeded.episode()), (0, 0));
         assert_eq!(Seen::of(&unseeded).bits(), Seen::of(&fresh).bits());
-    }
-}
-
-#[test]
-fn the_expert_succeeds() {
-    let soak = soak();
-    for variant in variants() {
-        let mut env = make(&variant);
-        if env.spec().goal.is_none() {
-            continue; // what its expert achieves is tested with the task
-        }
-        // What is only reached for is reached always; what is grasped may be lost.
-        let (seeds, may_fail) = match (!env.spec().options.iter().any(grasps), soak) {
-            (true, _) => (200, 0),
-            (false, true) => (500, 25),
-            (false, false) => (20, 1),
-        };
-        let mut failed = vec![];
-        for seed in 0..seeds {
-            env.reset(Some(seed));
-            let mut last = None;
-            while !env.needs_reset() {
-                last = Some(env.step(&Seen::of(&env).expert).unwrap());
-            }
-            if !last.unwrap().is_success {
-                failed.push(seed);
-            }
-        }
-        if soak {
-            eprintln!("{variant:?}: {} of {seeds} seeds failed: {failed:?}", failed.len());
-        }
-        assert!(failed.len() <= may_fail, "{variant:?}: {failed:?}");
-    }
-}
-
-/// Jaws of half the friction still hold needles and blocks.
-#[test]
-fn the_expert_succeeds_with_slippery_jaws() {
-    let (seeds, may_fail) = if soak() { (500, 50) } else { (20, 2) };
-    for id in ["NeedlePick-v0", "PegTransfer-v0"] {
-        let options = Options::new().with("domain", table(&[("friction", &[0.5, 0.5])]));
-        let mut env = Registry::builtin().make(id, &options).unwrap();
-        let mut failed = vec![];
-        for seed in 0..seeds {
-            env.reset(Some(seed));
-            let mut last = None;
-            while !env.needs_reset() {
-                last = Some(env.step(&Seen::of(&env).expert).unwrap());
-            }
-            if !last.unwrap().is_success {
-                failed.push(seed);
-            }
-        }
-        eprintln!("{id}: {} of {seeds} seeds failed: {failed:?}", failed.len());
-        assert!(failed.len() <= may_fail, "{id}: {failed:?}");
     }
 }
 
@@ -697,11 +642,6 @@ fn begin_anew_where_it_ended(env: &mut Env) {
     if env.needs_reset() {
         env.reset(None);
     }
-}
-
-/// Whether an option says what holds an object.
-fn grasps(option: &OptionSpec) -> bool {
-    option.name == "grasp"
 }
 
 /// Random, but biased towards where goals and objects are.
