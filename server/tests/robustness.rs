@@ -14,9 +14,11 @@ use trocar_server::tasks::Registry;
 /// the engine would clamp it.
 const FASTEST: f64 = 1.5;
 
-/// Deepest overlap of an object with anything at the end of a step, m: the radius of the wire, beyond
-/// which a needle would be through.
-const DEEPEST: f64 = 0.5e-3;
+/// Deepest overlap of an object with anything at the end of a step, m: half of the thinnest thing in
+/// the scene, beyond which it would be through: the radius of a needle's wire, or of a peg.
+fn deepest(id: &str) -> f64 {
+    if id.starts_with("Needle") { 0.5e-3 } else { 1e-3 }
+}
 
 /// Environment steps in which objects may leave the theatre: at most one in so many.
 const STEPS_PER_LOSS: u64 = 10_000;
@@ -104,7 +106,7 @@ fn nothing_explodes_under_adversarial_actions() {
         eprintln!("{id} {:?}: {record:?}", options.text("action"));
         let fine = record.failures == 0
             && record.fastest < FASTEST
-            && record.deepest < DEEPEST
+            && record.deepest < deepest(id)
             && record.losses <= 1 + record.steps / STEPS_PER_LOSS;
         if !fine {
             bad.push(format!("{id} {options:?}: {record:?}"));

@@ -5,7 +5,7 @@
 use std::collections::BTreeMap;
 
 use trocar_proto::snapshot::Recipe;
-use trocar_proto::spec::{Element, OptionSpec, OptionValue};
+use trocar_proto::spec::{Element, OptionValue};
 use trocar_proto::{Code, Options, TaskSpec};
 use trocar_server::env::{Env, Step};
 use trocar_server::error::StepError;
@@ -253,61 +253,6 @@ fn episodes_are_keyed_by_seed_and_number() {
 }
 
 #[test]
-fn the_expert_succeeds() {
-    let soak = soak();
-    for variant in variants() {
-        let mut env = make(&variant);
-        if env.spec().goal.is_none() {
-            continue; // what its expert achieves is tested with the task
-        }
-        // What is only reached for is reached always; what is grasped may be lost.
-        let (seeds, may_fail) = match (!env.spec().options.iter().any(grasps), soak) {
-            (true, _) => (200, 0),
-            (false, true) => (500, 25),
-            (false, false) => (20, 1),
-        };
-        let mut failed = vec![];
-        for seed in 0..seeds {
-            env.reset(Some(seed));
-            let mut last = None;
-            while !env.needs_reset() {
-                last = Some(env.step(&Seen::of(&env).expert).unwrap());
-            }
-            if !last.unwrap().is_success {
-                failed.push(seed);
-            }
-        }
-        if soak {
-            eprintln!("{variant:?}: {} of {seeds} seeds failed: {failed:?}", failed.len());
-        }
-        assert!(failed.len() <= may_fail, "{variant:?}: {failed:?}");
-    }
-}
-
-/// Jaws of half the friction still hold needles and blocks.
-#[test]
-fn the_expert_succeeds_with_slippery_jaws() {
-    let (seeds, may_fail) = if soak() { (500, 50) } else { (20, 2) };
-    for id in ["NeedlePick-v0", "PegTransfer-v0"] {
-        let options = Options::new().with("domain", table(&[("friction", &[0.5, 0.5])]));
-        let mut env = Registry::builtin().make(id, &options).unwrap();
-        let mut failed = vec![];
-        for seed in 0..seeds {
-            env.reset(Some(seed));
-            let mut last = None;
-            while !env.needs_reset() {
-                last = Some(env.step(&Seen::of(&env).expert).unwrap());
-            }
-            if !last.unwrap().is_success {
-                failed.push(seed);
-            }
-        }
-        eprintln!("{id}: {} of {seeds} seeds failed: {failed:?}", failed.len());
-        assert!(failed.len() <= may_fail, "{id}: {failed:?}");
-    }
-}
-
-#[test]
 fn rewards_and_success_are_those_of_the_goals_bit_by_bit() {
     for variant in variants() {
         let mut env = make(&variant);
@@ -414,7 +359,7 @@ fn a_snapshot_goes_on_bit_by_bit_like_the_original_as_clone_and_as_bytes() {
     variants.extend(Registry::builtin().ids().map(randomised));
     for variant in variants {
         let fresh = make(&variant);
-        for seed in 0..if soak() { 40 } else { 4 } {
+        for seed in 0..if soak() { 40 } else { 3 } {
             let mut env = fresh.clone();
             env.reset(Some(seed));
             let mut actions = Actions::new(seed);
@@ -429,8 +374,8 @@ fn a_snapshot_goes_on_bit_by_bit_like_the_original_as_clone_and_as_bytes() {
             let bytes = env.export().unwrap();
             let mut copies = [env.clone(), fresh.import(&bytes).unwrap()];
             assert_eq!(copies[1].export().unwrap(), bytes);
-            // To the end of this episode and a little into the next.
-            for _ in 0..60 {
+            // Every second time into the next episode.
+            for _ in 0..25 {
                 assert_eq!(Seen::of(&env).bits(), Seen::of(&copies[0]).bits(), "{variant:?}");
                 assert_eq!(Seen::of(&env).bits(), Seen::of(&copies[1]).bits(), "{variant:?}");
                 if env.needs_reset() {
@@ -476,7 +421,7 @@ type Change = fn(&mut Recipe);
 #[test]
 fn bytes_that_are_not_of_this_task_and_these_options_are_refused_by_name() {
     let registry = Registry::builtin();
-    let options = Options::new().with_text("reward", "dense");
+    let options = Options::new().with_text("action", "joint");
     for id in registry.ids() {
         let mut env = registry.make(id, &Options::new()).unwrap();
         assert_eq!(env.export().unwrap_err().code, Code::ResetNeeded);
@@ -486,7 +431,7 @@ fn bytes_that_are_not_of_this_task_and_these_options_are_refused_by_name() {
         let refuse = |env: &Env, bytes: &[u8]| env.import(bytes).err().unwrap();
         let refusal = refuse(&registry.make(id, &options).unwrap(), &bytes);
         assert_eq!(refusal.code, Code::InvalidSnapshot);
-        assert_eq!(refusal.field, "snapshot.options.reward", "{refusal}");
+        assert_eq!(refusal.field, "snapshot.options.action", "{refusal}");
         for other in registry.ids().filter(|other| *other != id) {
             let refusal = refuse(&registry.make(other, &Options::new()).unwrap(), &bytes);
             assert_eq!(refusal.field, "snapshot.task", "{refusal}");
@@ -496,9 +441,12 @@ fn bytes_that_are_not_of_this_task_and_these_options_are_refused_by_name() {
         recipe.fingerprint ^= 1;
         assert_eq!(refuse(&env, &recipe.to_bytes().unwrap()).field, "snapshot.fingerprint");
         let good = Recipe::from_bytes(&bytes).unwrap();
+        // One number more is one step more where an action is one number.
+        let whole = env.spec().action_dim() == 1;
+        let one_more = if whole { "snapshot.fingerprint" } else { "snapshot.actions" };
         let changes: [(&str, Change); 4] = [
             ("snapshot.version", |recipe| recipe.version.push('0')),
-            ("snapshot.actions", |recipe| recipe.actions.push(0.0)),
+            (one_more, |recipe| recipe.actions.push(0.0)),
             ("snapshot.actions", |recipe| recipe.actions[0] = f32::NAN),
             ("snapshot.actions", |recipe| recipe.actions = vec![0.0; 12_000]),
         ];
@@ -697,11 +645,6 @@ fn begin_anew_where_it_ended(env: &mut Env) {
     if env.needs_reset() {
         env.reset(None);
     }
-}
-
-/// Whether an option says what holds an object.
-fn grasps(option: &OptionSpec) -> bool {
-    option.name == "grasp"
 }
 
 /// Random, but biased towards where goals and objects are.

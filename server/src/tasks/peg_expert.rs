@@ -10,6 +10,7 @@ use super::peg_board::{Block, PegBoard};
 use super::pick::{jaws_across, step_towards};
 use super::psm_scene::PsmArm;
 use super::start::Start;
+use crate::assets::Model;
 use crate::sim::frames::Pose;
 use crate::sim::instrument::{FINGER_HALF, JAW_CLOSED, JAW_OPEN, TIP_OFFSET};
 use crate::sim::world::World;
@@ -50,7 +51,7 @@ const OVER: f64 = 0.7e-3;
 const STILL_OVER: f64 = 2.5e-3;
 
 /// Height over the board at which a block is let go, m.
-const LET_GO: f64 = 1.2e-3;
+const LET_GO: f64 = 0.6e-3;
 
 /// A block that is to go to a target.
 #[derive(Debug, Clone, Copy)]
@@ -75,7 +76,7 @@ impl Transfer {
     pub fn progress(&self, arm: &PsmArm, world: &World) -> Start {
         let block = world.pose(self.block.body());
         if arm.holds(world, self.block.body()) {
-            let passes = block.translation.z - Block::half_height() - peg_top();
+            let passes = bottom(&block) - peg_top();
             return if passes >= 0.5 * PASS { Start::Lift } else { Start::Pick };
         }
         let (grasp, jaw) = self.pick(arm, world);
@@ -90,7 +91,7 @@ impl Transfer {
         let by = |way: Vector3<f64>| Pose::from(way) * wrist;
         let held = arm.holds(world, self.block.body());
         let block = world.pose(self.block.body());
-        let height = block.translation.z - Block::half_height() - PegBoard::top();
+        let height = bottom(&block) - PegBoard::top();
         if PegBoard::is_on(world, self.block, self.target) && (height < LET_GO || !held) {
             // Open, then straight up and out of the way.
             let up = if arm.opening(world) > OPEN { pass() - wrist.translation.z } else { 0.0 };
@@ -103,7 +104,7 @@ impl Transfer {
     fn carry(&self, block: &Pose, wrist: &Pose) -> Vector3<f64> {
         let goal = PegBoard::peg(self.target) + outwards(block, held_wall(block, wrist)) * OFF_AXIS;
         let way = level(&(goal - block.translation.vector));
-        let bottom = block.translation.z - Block::half_height();
+        let bottom = bottom(block);
         let passes = bottom - peg_top();
         let near = if passes < 0.0 { STILL_OVER } else { OVER };
         if way.norm() < near {
@@ -170,9 +171,14 @@ pub(super) fn grasp_in_air(block: &Pose, wall: usize, wrist: &Pose) -> Pose {
     Pose::from_parts(at.into(), jaws_across(&across, wrist))
 }
 
+/// Height of the lowest point of a block, m: it may hang askew.
+fn bottom(block: &Pose) -> f64 {
+    Model::block().aabb(block).min.z
+}
+
 /// The way up on which a block clears the pegs, m; below 0 where it is higher.
 pub(super) fn way_over_pegs(block: &Pose) -> f64 {
-    peg_top() + PASS - (block.translation.z - Block::half_height())
+    peg_top() + PASS - bottom(block)
 }
 
 /// The wrist that grasps a wall of a block: jaws straight down across the wall, the inner finger

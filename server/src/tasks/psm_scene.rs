@@ -367,6 +367,11 @@ impl PsmArm {
                 for joint in 0..6 {
                     numbers[joint] = (joints[joint] - self.joints[joint]) / JOINT_STEPS[joint];
                 }
+                // Clipped one by one, they would lead elsewhere.
+                let largest = numbers[..6].iter().fold(1.0, |most: f64, n| most.max(n.abs()));
+                for number in &mut numbers[..6] {
+                    *number /= largest;
+                }
                 numbers
             }
         };
