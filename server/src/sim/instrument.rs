@@ -54,9 +54,6 @@ const FINGER_LIMITS: [f64; 2] = [-0.03, 0.8];
 /// From the hinge to where an object is gripped, m: the tip less 1 mm.
 const LEVER: f64 = TIP_OFFSET - 1e-3;
 
-/// Difference of the jaws' opening from the commanded one up to which they count as there, rad.
-const AT_REST: f64 = 0.01;
-
 /// Where an instrument is and how far its jaws are open.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Posture {
@@ -236,14 +233,10 @@ impl Instrument {
         matches!(self.fingers, Fingers::Gripping { .. })
     }
 
-    /// Whether the jaws are as open as they should be.
-    pub(super) fn jaws_rest(&self, world: &World) -> bool {
-        (self.opening(world) - self.posture.jaw).abs() < AT_REST
-    }
-
     /// A box around all that it passes through on its way to `end`, m.
-    pub(super) fn swept(&self, end: &Posture) -> Aabb {
-        self.posture.aabb().merged(&end.aabb())
+    pub(super) fn swept(&self, world: &World, end: &Posture) -> Aabb {
+        let now = Posture { jaw: self.opening(world), ..self.posture };
+        now.aabb().merged(&self.posture.aabb()).merged(&end.aabb())
     }
 
     /// Whether it meets nothing in the volume that it sweeps.
