@@ -1,5 +1,5 @@
-//! The grasp test bench: a needle picked up by friction alone, again and again, a little off each
-//! time, and handled.
+//! The grasp test bench: needle and block picked up by friction alone, again and again, a little off
+//! each time, and handled.
 //!
 //! `TROCAR_SOAK=1` runs ten times as many trials. `--nocapture` shows slip and rotation.
 
@@ -25,10 +25,22 @@ const STEP: u32 = 48;
 const SLIP: f64 = 2e-3;
 const ROTATION: f64 = 20.0 * DEGREE;
 
+/// What is grasped.
+#[derive(Debug, Clone, Copy, PartialEq)]
+enum Thing {
+    /// In the middle of its arc.
+    Needle,
+    /// By a wall; it stands on the pad.
+    Block,
+}
+
 /// How a trial goes.
 #[derive(Debug, Clone, Copy)]
 struct Trial {
     preset: Preset,
+    thing: Thing,
+    /// Friction coefficient of the fingers.
+    friction: f64,
     /// Half the range of the errors: x and y (m), turn (rad), place along the arc (rad).
     errors: [f64; 3],
     /// Height of the tip over the pad when the jaws close, m.
@@ -40,15 +52,24 @@ struct Trial {
 impl Trial {
     const PERTURBED: Self = Self {
         preset: Preset::Paper,
+        thing: Thing::Needle,
+        friction: 1.0,
         errors: [1e-3, 5.0 * DEGREE, 20.0 * DEGREE],
         height: 0.05e-3,
         moves: 10,
     };
     const HANDLED: Self = Self { moves: 50, ..Self::PERTURBED };
+    /// The fingers reach 4 mm below the block's top.
+    const BLOCK: Self = Self {
+        thing: Thing::Block,
+        errors: [1e-3, 5.0 * DEGREE, 0.0],
+        height: 10.5e-3,
+        ..Self::HANDLED
+    };
     const ALIGNED: Self = Self { errors: [0.0; 3], ..Self::PERTURBED };
 }
 
-/// What became of the needle.
+/// What became of it.
 #[derive(Debug, Clone, Copy)]
 struct Outcome {
     slip: f64,
@@ -71,20 +92,31 @@ fn run(trial: Trial, seed: u64) -> Outcome {
         Preset::Surrol => 3.0,
     };
     let mut world = tray::furnished_world(trial.preset);
-    let needle = Needle::insert(&mut world, trial.preset);
     let (x, y) = (tray::pad().centre().x, tray::pad().centre().y);
-    needle.lay(&mut world, x, y, rng.uniform(-FRAC_PI_2, FRAC_PI_2));
-    // The needle settles for a second.
-    world.wake(needle.body());
+    let turned = rng.uniform(-FRAC_PI_2, FRAC_PI_2);
+    let (thing, body_from_place) = match trial.thing {
+        Thing::Needle => {
+            let needle = Needle::insert(&mut world, trial.preset);
+            needle.lay(&mut world, x, y, turned);
+            (needle.body(), Model::needle().body_from("mid_arc"))
+        }
+        Thing::Block => {
+            let block = Model::block();
+            let below = block.aabb(&Pose::identity()).min.z;
+            let at = frames::pose([x, y, tray::pad().max.z - below], [0.0, 0.0, turned]);
+            (block.insert(&mut world, block.mass, &at), block.body_from("wall_0"))
+        }
+    };
+    // It settles for a second.
+    world.wake(thing);
     for _ in 0..5 * STEP {
         world.step();
     }
-    assert!(world.at_rest(), "the needle lies still");
+    assert!(world.at_rest(), "it lies still");
 
     let along = rng.uniform(-arc, arc);
     let about = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), along);
-    let middle = Model::needle().body_from("mid_arc");
-    let scene_from_place = world.pose(needle.body()) * about * middle;
+    let scene_from_place = world.pose(thing) * about * body_from_place;
     let mut place = scene_from_place.translation.vector;
     place.x += rng.uniform(-shift, shift);
     place.y += rng.uniform(-shift, shift);
@@ -98,26 +130,27 @@ fn run(trial: Trial, seed: u64) -> Outcome {
 
     let above = down(place + Vector3::z() * 0.014, yaw, JAW_OPEN);
     let mut arm = Instrument::insert(&mut world, above, squeeze);
+    arm.set_friction(&mut world, trial.friction);
     assert_eq!(world.joints().count(), 2, "the fingers' hinges");
     let go = |arm: &mut Instrument, world: &mut World, tip, yaw, jaw, steps: u32| {
         travel([arm], world, [down(tip, yaw, jaw)], steps * STEP);
-        world.velocity(needle.body()).norm()
+        world.velocity(thing).norm()
     };
     go(&mut arm, &mut world, place, yaw, JAW_OPEN, 1);
     go(&mut arm, &mut world, place, yaw, JAW_CLOSED, 2);
 
-    let wrist_from_needle = |arm: &Instrument, world: &World| {
-        arm.posture().world_from_wrist.inv_mul(&world.pose(needle.body()))
+    let wrist_from_thing = |arm: &Instrument, world: &World| {
+        arm.posture().world_from_wrist.inv_mul(&world.pose(thing))
     };
-    let gripped = wrist_from_needle(&arm, &world);
+    let gripped = wrist_from_thing(&arm, &world);
     let point = gripped.inverse() * Point3::new(0.0, 0.0, TIP_OFFSET - 0.5e-3);
     let mut outcome = Outcome { slip: 0.0, rotation: 0.0, touched: false, fastest: 0.0 };
     let mut watch = |arm: &Instrument, world: &World, speed: f64| {
-        let now: Pose = wrist_from_needle(arm, world);
+        let now: Pose = wrist_from_thing(arm, world);
         outcome.slip = outcome.slip.max((now * point - gripped * point).norm());
         outcome.rotation = outcome.rotation.max(now.rotation.angle_to(&gripped.rotation));
         outcome.fastest = outcome.fastest.max(speed);
-        outcome.touched = arm.holds(world, needle.body());
+        outcome.touched = arm.holds(world, thing);
     };
     let mut tip = place + Vector3::z() * 0.04;
     let speed = go(&mut arm, &mut world, tip, yaw, JAW_CLOSED, 4);
@@ -154,7 +187,7 @@ fn share_held(name: &str, trial: Trial, count: u64) -> f64 {
     let fastest = outcomes.iter().map(|outcome| outcome.fastest).fold(0.0, f64::max);
     eprintln!(
         "{name}: held {held}/{count}, slip median {slip:.2} / 95 % {slip_95:.2} mm, \
-         rotation {turn:.1} / {turn_95:.1}°, needle at most {fastest:.2} m/s",
+         rotation {turn:.1} / {turn_95:.1}°, at most {fastest:.2} m/s",
     );
     held as f64 / count as f64
 }
@@ -167,6 +200,19 @@ fn a_needle_grasped_a_little_off_is_held_through_random_moves() {
 #[test]
 fn a_needle_in_the_jaws_survives_long_handling() {
     assert!(share_held("handled", Trial::HANDLED, 20) >= 0.95);
+}
+
+#[test]
+fn a_block_in_the_jaws_survives_long_handling() {
+    assert!(share_held("block", Trial::BLOCK, 20) >= 0.95);
+}
+
+#[test]
+fn smoother_jaws_hold_needle_and_block_too() {
+    for (name, trial) in [("needle", Trial::HANDLED), ("block", Trial::BLOCK)] {
+        let smooth = Trial { friction: 0.5, ..trial };
+        assert!(share_held(&format!("{name}, friction 0.5"), smooth, 20) >= 0.9);
+    }
 }
 
 #[test]

@@ -5,7 +5,8 @@
 //!
 //! - **Yield**: where an object that is in the way pushes back too hard or is pressed into what is
 //!   behind it, an instrument goes back along its path instead of forward; just before, it waits.
-//!   Where its path leads not out of what it presses on, it gives way to the side, as a real arm bends.
+//!   Where its path does not lead out of what it presses on, one that grips gives way, as a real arm
+//!   bends.
 //! - **Distance**: the shafts of two instruments, which nothing else keeps apart, wait where they
 //!   would come closer than they are thick.
 //! - **Quiescence**: while every free object sleeps, the jaws are as open as they should be, and the
@@ -25,8 +26,8 @@ const YIELD_FORCE: f64 = 2.5;
 /// [`YIELD_FORCE`].
 const YIELD_OVERLAP: f64 = 0.05e-3;
 
-/// How far an instrument gives way in a substep where going back does not help, m: jaws that close
-/// swing their tips down by 0.6 mm, onto what may lie under them.
+/// How far a gripping instrument gives way in a substep where going back does not help, m: jaws that
+/// close swing their tips down by 0.6 mm, onto what may lie under them.
 const ASIDE: f64 = 0.05e-3;
 
 /// What counts as the way covered by an instrument that is beside its path at the end: not all of it.
@@ -119,7 +120,8 @@ pub fn travel<const N: usize>(
                 Resistance::None => way.done + 1,
             };
             let overlap = &way.push.overlap;
-            if overlap.depth > YIELD_OVERLAP && way.done >= done {
+            let stays_on = way.done >= done && overlap.depth > YIELD_OVERLAP;
+            if way.instrument.grips() && stays_on {
                 way.aside -= overlap.into * ASIDE;
             }
             let next = way.along(way.done, now, substeps);

@@ -349,6 +349,27 @@ impl World {
         frames::from_engine_vector(self.bodies[body.0].linvel())
     }
 
+    /// Gives a free body this velocity, m/s.
+    pub fn set_velocity(&mut self, body: BodyId, velocity: &Vector3<f64>) {
+        self.bodies[body.0].set_linvel(frames::to_engine_vector(velocity), true);
+    }
+
+    /// Pulls at a free body's centre of mass with this force and no other from now on, N.
+    pub fn pull(&mut self, body: BodyId, force: &Vector3<f64>) {
+        let body = &mut self.bodies[body.0];
+        body.reset_forces(true);
+        body.add_force(frames::to_engine_vector(&(force * (SCALE * SCALE * SCALE))), true);
+    }
+
+    /// How hard everything together pressed on a body in the last substep, from whatever side, N.
+    pub fn pressure(&self, body: BodyId) -> f64 {
+        let newtons = SUBSTEPS_PER_SECOND / f64::powi(SCALE, 4);
+        let parts = self.bodies[body.0].colliders().iter();
+        let pairs = parts.flat_map(|part| self.narrow_phase.contact_pairs_with(*part));
+        let contacts = pairs.flat_map(ContactPair::manifolds).flat_map(|each| &each.points);
+        contacts.map(|contact| newtons * f64::from(contact.data.impulse)).sum()
+    }
+
     /// The free objects, in the order in which they were put into the world.
     pub fn objects(&self) -> impl Iterator<Item = BodyId> {
         self.free.iter().map(|body| BodyId(*body))
