@@ -172,6 +172,19 @@ fn exported_states_go_on_in_another_server() {
     bystander.finish();
 }
 
+/// Fails unless it was refused with `code`, in a text that has all of `parts`.
+fn refused<T>(result: Result<T, CallError>, code: Code, parts: &[&str]) {
+    match result {
+        Err(CallError::Refused(refusal)) => {
+            assert_eq!(refusal.code, code, "{refusal}");
+            let text = refusal.to_string();
+            assert!(parts.iter().all(|part| text.contains(part)), "{text:?}: {parts:?}");
+        }
+        Err(error) => panic!("{error}"),
+        Ok(_) => panic!("not refused: {parts:?}"),
+    }
+}
+
 #[test]
 fn what_cannot_be_saved_or_restored_is_refused_and_changes_nothing() {
     let server = Server::start();
@@ -180,18 +193,6 @@ fn what_cannot_be_saved_or_restored_is_refused_and_changes_nothing() {
     pair.steps(3);
     let snapshot = pair.session.snapshot().unwrap();
     let bytes = pair.session.export(&snapshot).unwrap();
-    fn refused<T>(result: Result<T, CallError>, code: Code, parts: &[&str]) {
-        match result {
-            Err(CallError::Refused(refusal)) => {
-                assert_eq!(refusal.code, code, "{refusal}");
-                let text = refusal.to_string();
-                assert!(parts.iter().all(|part| text.contains(part)), "{text:?}: {parts:?}");
-            }
-            Err(error) => panic!("{error}"),
-            Ok(_) => panic!("not refused: {parts:?}"),
-        }
-    }
-
     let foreign = ["snapshot", "of session", "export"];
     refused(other.session.restore(&snapshot), Code::UnknownSnapshot, &foreign);
     refused(other.session.export(&snapshot), Code::UnknownSnapshot, &foreign);

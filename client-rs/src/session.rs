@@ -35,8 +35,8 @@ struct InFlight {
     pending: Owned<RawPending>,
     kind: u32,
     env_ids: EnvIds,
-    /// Environments that it reads, besides those that it changes.
-    sources: Option<EnvIds>,
+    /// Environments that it changes or reads.
+    touched: EnvIds,
     /// Nobody waits for the reply any more; it is received and dropped.
     abandoned: bool,
 }
@@ -53,6 +53,19 @@ impl EnvIds {
         match self {
             Self::All(count) => *count as usize,
             Self::Some(ids) => ids.len(),
+        }
+    }
+
+    /// These and others.
+    fn and(&self, others: &[u32]) -> Self {
+        match self {
+            Self::All(count) => Self::All(*count),
+            Self::Some(ids) => {
+                let mut both = [ids, others].concat();
+                both.sort_unstable();
+                both.dedup();
+                Self::Some(both.into())
+            }
         }
     }
 
@@ -164,7 +177,7 @@ impl Session {
         }
         let flags = if seeds.is_some() { flag::HAS_SEEDS } else { 0 };
         let region = self.request_layout.numbers;
-        self.start(kind::RESET, flags, env_ids, None, |payload, rows| {
+        self.start(kind::RESET, flags, env_ids.clone(), env_ids, |payload, rows| {
             if let Some(seeds) = seeds {
                 region.view_mut::<u64>(payload, rows).copy_from_slice(seeds);
             }
@@ -181,7 +194,7 @@ impl Session {
         let expected = env_ids.len() * self.spec().action_dim();
         check_length("actions", actions.len(), expected, Code::InvalidAction)?;
         let region = self.request_layout.actions;
-        self.start(kind::STEP, 0, env_ids, None, |payload, rows| {
+        self.start(kind::STEP, 0, env_ids.clone(), env_ids, |payload, rows| {
             region.view_mut::<f32>(payload, rows).copy_from_slice(actions);
         })
     }
@@ -262,7 +275,7 @@ impl Session {
     pub fn start_snapshot(&mut self, env_ids: Option<&[u32]>) -> Result<(), CallError> {
         let env_ids = self.check_env_ids(env_ids)?;
         self.forget_dropped()?;
-        self.start(kind::SNAPSHOT, 0, env_ids, None, |_, _| {})
+        self.start(kind::SNAPSHOT, 0, env_ids.clone(), env_ids, |_, _| {})
     }
 
     /// Starts a restore of the environments `env_ids` (all if `None`).
@@ -274,7 +287,7 @@ impl Session {
         let env_ids = self.check_env_ids(env_ids)?;
         let numbers = snapshot.numbers_for(&self.info, env_ids.len())?;
         let region = self.request_layout.numbers;
-        self.start(kind::RESTORE, 0, env_ids, None, |payload, rows| {
+        self.start(kind::RESTORE, 0, env_ids.clone(), env_ids, |payload, rows| {
             region.view_mut::<u64>(payload, rows).copy_from_slice(&numbers);
         })
     }
@@ -297,11 +310,9 @@ impl Session {
         if let Some(number) = sources.iter().find(|number| **number >= envs) {
             return Err(refuse(number.to_string(), format!("allowed are numbers below {envs}")));
         }
-        let mut read = sources.to_vec();
-        read.sort_unstable();
-        read.dedup();
+        let touched = env_ids.and(sources);
         let region = self.request_layout.numbers;
-        self.start(kind::FORK, 0, env_ids, Some(EnvIds::Some(read.into())), |payload, rows| {
+        self.start(kind::FORK, 0, env_ids, touched, |payload, rows| {
             let numbers = region.view_mut::<u64>(payload, rows);
             for (number, source) in numbers.iter_mut().zip(sources.iter().cycle()) {
                 *number = u64::from(*source);
@@ -380,7 +391,8 @@ impl Session {
         let pending = Owned::new(self.port.get()?.send(header, fill)?);
         let env_ids = EnvIds::All(header.rows.min(self.info.envs));
         let kind = header.kind;
-        let request = InFlight { pending, kind, env_ids, sources: None, abandoned: false };
+        let touched = env_ids.clone();
+        let request = InFlight { pending, kind, env_ids, touched, abandoned: false };
         self.in_flight.push_back(request);
         self.recv()
     }
@@ -415,7 +427,7 @@ impl Session {
         kind: u32,
         flags: u32,
         env_ids: EnvIds,
-        sources: Option<EnvIds>,
+        touched: EnvIds,
         fill: impl FnOnce(&mut [u8], usize),
     ) -> Result<(), CallError> {
         while !self.settle(SLICE)? {}
@@ -427,17 +439,7 @@ impl Session {
         if self.in_flight.len() == MAX_IN_FLIGHT {
             return Err(CallError::TooManyInFlight);
         }
-        let all = |request: &InFlight| [Some(request.env_ids.clone()), request.sources.clone()];
-        let mine = [Some(&env_ids), sources.as_ref()];
-        let busy = self.in_flight.iter().find_map(|other| {
-            let theirs = all(other);
-            let theirs = theirs.iter().flatten();
-            theirs
-                .flat_map(|theirs| {
-                    mine.into_iter().flatten().filter_map(|mine| theirs.common(mine))
-                })
-                .next()
-        });
+        let busy = self.in_flight.iter().find_map(|other| other.touched.common(&touched));
         if let Some(busy) = busy {
             return Err(Rejection::new(
                 Code::InvalidEnvIds,
@@ -467,7 +469,7 @@ impl Session {
             fill(payload, rows);
         })?;
         let pending = Owned::new(pending);
-        let request = InFlight { pending, kind, env_ids, sources, abandoned: false };
+        let request = InFlight { pending, kind, env_ids, touched, abandoned: false };
         self.in_flight.push_back(request);
         Ok(())
     }

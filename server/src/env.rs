@@ -34,7 +34,7 @@ use crate::tasks::start::Starts;
 
 mod rebuild;
 
-pub(crate) use rebuild::Rebuild;
+pub(crate) use rebuild::{Identity, Rebuild};
 
 /// Most numbers of actions that are kept of an episode: they fit into an exported snapshot, and are
 /// 1300 steps of ten numbers.
@@ -305,7 +305,7 @@ impl Env {
     /// anything. Rebuilding it takes as long as the episode took up to there.
     pub fn import(&self, bytes: &[u8]) -> Result<Self, Rejection> {
         let recipe = Recipe::from_bytes(bytes)?;
-        self.check_recipe(&recipe)?;
+        self.identity().check(&recipe)?;
         let mut rebuild = Rebuild::new(self, recipe);
         while !rebuild.is_done() {
             rebuild.step();
@@ -498,5 +498,37 @@ mod tests {
         let mut action = [0.0];
         env.expert(&mut action);
         assert_eq!(action, [1.0]);
+    }
+
+    #[test]
+    fn a_state_is_exported_from_as_many_steps_on_as_are_kept() {
+        let mut env = fragile();
+        Arc::make_mut(&mut env.spec).max_steps = 2 * RECORDED as u32;
+        let fresh = env.clone();
+        env.reset(Some(1));
+        for _ in 0..RECORDED {
+            env.step(&[0.25]).unwrap();
+        }
+        let last = env.export().unwrap();
+        assert_eq!(fresh.import(&last).unwrap().steps() as usize, RECORDED);
+        env.step(&[0.25]).unwrap();
+        let refusal = env.export().unwrap_err();
+        assert_eq!((refusal.code, refusal.field.as_str()), (Code::Unsupported, "snapshot"));
+        let mut clone = env.clone();
+        assert_eq!(clone.step(&[0.25]).unwrap(), env.step(&[0.25]).unwrap());
+        env.reset(None);
+        assert!(env.export().is_ok());
+    }
+
+    #[test]
+    fn a_failure_of_the_simulation_is_a_state_like_another() {
+        let mut env = fragile();
+        env.reset(None);
+        env.step(&[0.0]).unwrap();
+        env.step(&[1.0]).unwrap_err();
+        let mut copy = fragile().import(&env.export().unwrap()).unwrap();
+        assert_eq!((copy.steps(), copy.needs_reset()), (2, true));
+        copy.reset(None);
+        assert_eq!((copy.episode(), copy.step(&[0.0]).unwrap().reward), (1, 1.0));
     }
 }

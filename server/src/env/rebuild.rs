@@ -2,8 +2,11 @@
 //!
 //! See [`snapshot`] for what the bytes are. A state is rebuilt by going through its episode again.
 
+use std::sync::Arc;
+
+use trocar_proto::{Code, Options, TaskSpec};
+
 use super::{Env, RECORDED, Recipe, Rejection, State, snapshot};
-use trocar_proto::Code;
 
 impl Env {
     /// What led to the present state.
@@ -38,8 +41,30 @@ impl Env {
         Err(Rejection::new(Code::ResetNeeded, "env", "no state", why))
     }
 
+    /// What recipes must be of to lead to a state of this environment.
+    pub(crate) fn identity(&self) -> Identity {
+        Identity { spec: Arc::clone(&self.spec), options: Arc::clone(&self.options) }
+    }
+
+    /// A number that stands for every bit of what is seen and of what the objects do.
+    fn fingerprint(&self) -> u64 {
+        let seen = self.observation.iter().chain(&self.achieved).chain(&self.desired);
+        let words = seen.map(|number| number.to_bits()).chain(self.world.bits());
+        let words = words.chain([self.steps, u32::from(self.state == State::Over)]);
+        snapshot::fingerprint(words.flat_map(u32::to_le_bytes))
+    }
+}
+
+/// A task and its options.
+#[derive(Debug, Clone)]
+pub(crate) struct Identity {
+    spec: Arc<TaskSpec>,
+    options: Arc<Options>,
+}
+
+impl Identity {
     /// Whether `recipe` is of this task and these options and can have happened.
-    pub(crate) fn check_recipe(&self, recipe: &Recipe) -> Result<(), Rejection> {
+    pub(crate) fn check(&self, recipe: &Recipe) -> Result<(), Rejection> {
         let refuse = |part: &str, value: String, allowed: String| {
             Err(Rejection::new(Code::InvalidSnapshot, format!("snapshot.{part}"), value, allowed))
         };
@@ -74,14 +99,6 @@ impl Env {
         }
         Ok(())
     }
-
-    /// A number that stands for every bit of what is seen and of what the objects do.
-    fn fingerprint(&self) -> u64 {
-        let seen = self.observation.iter().chain(&self.achieved).chain(&self.desired);
-        let words = seen.map(|number| number.to_bits()).chain(self.world.bits());
-        let words = words.chain([self.steps, u32::from(self.state == State::Over)]);
-        snapshot::fingerprint(words.flat_map(u32::to_le_bytes))
-    }
 }
 
 /// An environment on its way back to an exported state, step by step.
@@ -95,7 +112,7 @@ pub(crate) struct Rebuild {
 }
 
 impl Rebuild {
-    /// Begins the episode of a recipe that [`Env::check_recipe`] of `like` found to be good.
+    /// Begins the episode of a recipe that [`Identity::check`] of `like` found to be good.
     pub(crate) fn new(like: &Env, recipe: Recipe) -> Self {
         let mut env = like.clone();
         (env.seed, env.episode) = (recipe.seed, recipe.episode);

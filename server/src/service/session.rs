@@ -223,7 +223,7 @@ impl Session {
         let reply_layout = ReplyLayout::new(envs, spec);
         let (epoch, id) = (ground.epoch, shared.id);
         let info = SessionInfo { session: id, epoch, envs: wanted.envs, spec: (**spec).clone() };
-        let store = Store::new(Arc::clone(&ground.ledger), batch.like().clone());
+        let store = Store::new(Arc::clone(&ground.ledger), batch.like().identity());
         *shared.store.lock().unwrap_or_else(PoisonError::into_inner) = Some(store);
         let ports = DataPorts::open(&ground.node, epoch, id, reply_layout.bytes)?;
         let session = Self {
@@ -398,15 +398,12 @@ fn saved(
     numbers: &[u64],
     scheduler: &Scheduler,
 ) -> Result<Vec<Arc<Env>>, Rejection> {
-    let get = || {
-        shared.with_store(|store| {
-            numbers.iter().map(|number| store.get(*number)).collect::<Result<Vec<_>, _>>()
-        })
-    };
+    let found: Vec<Saved> =
+        shared.with_store(|store| numbers.iter().map(|number| store.get(*number)).collect())?;
     let mut recipes = BTreeMap::new();
-    for (number, saved) in numbers.iter().zip(get()?) {
+    for (number, saved) in numbers.iter().zip(&found) {
         if let Saved::Recipe(recipe) = saved {
-            recipes.insert(*number, recipe);
+            recipes.insert(*number, Arc::clone(recipe));
         }
     }
     let rebuilds = recipes.values().map(|recipe| Rebuild::new(batch.like(), (**recipe).clone()));
@@ -415,18 +412,21 @@ fn saved(
         let why = "the session is being closed";
         return Err(Rejection::new(Code::UnknownSession, "session", shared.id, why));
     };
-    for (number, env) in recipes.keys().zip(rebuilt) {
-        let env = Arc::new(env?);
-        shared.with_store(|store| {
-            store.replace(*number, &env);
-            Ok(())
-        })?;
+    let mut states = BTreeMap::new();
+    for (number, env) in recipes.into_keys().zip(rebuilt) {
+        states.insert(number, Arc::new(env?));
     }
-    let state = |saved: Saved| match saved {
+    shared.with_store(|store| {
+        for (number, state) in &states {
+            store.replace(*number, state);
+        }
+        Ok(())
+    })?;
+    let state = |(number, saved): (&u64, Saved)| match saved {
         Saved::State(env) => env,
-        Saved::Recipe(_) => unreachable!("every recipe was replaced by its state"),
+        Saved::Recipe(_) => Arc::clone(&states[number]),
     };
-    Ok(get()?.into_iter().map(state).collect())
+    Ok(numbers.iter().zip(found).map(state).collect())
 }
 
 impl Pace {

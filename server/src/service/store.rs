@@ -7,7 +7,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use trocar_proto::snapshot::Recipe;
 use trocar_proto::{Code, Rejection};
 
-use crate::env::Env;
+use crate::env::{Env, Identity};
 
 /// Memory of a server that sessions and snapshots share, bytes.
 #[derive(Debug)]
@@ -78,14 +78,14 @@ pub(super) enum Saved {
 /// The snapshots of one session; they end with it.
 pub(super) struct Store {
     ledger: Arc<Ledger>,
-    /// An environment of the session's task and options.
-    like: Env,
+    /// The session's task and options.
+    identity: Identity,
     saved: BTreeMap<u64, Saved>,
 }
 
 impl Store {
-    pub(super) fn new(ledger: Arc<Ledger>, like: Env) -> Self {
-        Self { ledger, like, saved: BTreeMap::new() }
+    pub(super) fn new(ledger: Arc<Ledger>, identity: Identity) -> Self {
+        Self { ledger, identity, saved: BTreeMap::new() }
     }
 
     /// Makes room for `count` snapshots, which [`Self::put`] then fills.
@@ -140,7 +140,7 @@ impl Store {
     /// is restored for the first time.
     pub(super) fn import(&mut self, bytes: &[u8]) -> Result<u64, Rejection> {
         let recipe = Recipe::from_bytes(bytes)?;
-        self.like.check_recipe(&recipe)?;
+        self.identity.check(&recipe)?;
         let mut room = self.make_room(1)?;
         Ok(self.put(&mut room, Saved::Recipe(Arc::new(recipe))))
     }
@@ -174,7 +174,7 @@ mod tests {
     fn store(ledger: &Arc<Ledger>) -> (Store, Arc<Env>) {
         let mut env = Registry::builtin().make("EcmReach-v0", &Options::new()).unwrap();
         env.reset(Some(1));
-        (Store::new(Arc::clone(ledger), env.clone()), Arc::new(env))
+        (Store::new(Arc::clone(ledger), env.identity()), Arc::new(env))
     }
 
     #[test]

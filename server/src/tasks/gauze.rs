@@ -8,7 +8,7 @@ use super::tray;
 use crate::assets::Model;
 use crate::sim::frames::{self, Aabb, Pose};
 use crate::sim::random::Rng;
-use crate::sim::world::{BodyId, Motion, World};
+use crate::sim::world::{BodyId, World};
 
 /// Origin of the tray, m: a little higher than with a pad in it. Source: the original.
 const TRAY_ORIGIN: [f64; 3] = [0.55, 0.0, 0.6781];
@@ -57,7 +57,7 @@ impl Gauze {
         };
         let centre = WORKSPACE.centre();
         let at = Self::resting(centre.x, centre.y);
-        Self { body: world.insert(Motion::Free { mass }, &at, model.friction, &model.parts) }
+        Self { body: model.insert(world, mass, &at) }
     }
 
     /// The body in the world.

@@ -47,7 +47,9 @@ pub(super) fn run(registry: &Registry, job: &Job) -> anyhow::Result<Measured> {
     let (ready, go) = (Barrier::new(shares + 1), Barrier::new(shares + 1));
     let work = |players: &mut [Player]| -> Result<u64, StepError> {
         let warmed = job.warm_up(|| players.iter_mut().try_for_each(Player::step));
-        players.iter_mut().for_each(|player| player.env.reset(None));
+        for player in players.iter_mut() {
+            player.env.reset(None);
+        }
         ready.wait();
         go.wait();
         warmed?;
