@@ -125,11 +125,15 @@ def tray() -> Model:
         ]
     )
     inside = depth - 2 * wall
-    collisions = [box((width, depth, floor), (0, 0, floor / 2))]
+    # An object that is pressed into a body as thin as the floor comes out below it. The bodies reach as
+    # far down as a wall is thick.
+    low = floor - wall
+    rise, middle = height - low, (height + low) / 2
+    collisions = [box((width, depth, wall), (0, 0, floor - wall / 2))]
     for side in (-1, 1):
-        collisions.append(box((wall, depth, height), (side * (width - wall) / 2, 0, height / 2)))
+        collisions.append(box((wall, depth, rise), (side * (width - wall) / 2, 0, middle)))
         collisions.append(
-            box((width - 2 * wall, wall, height), (0, side * (inside + wall) / 2, height / 2))
+            box((width - 2 * wall, wall, rise), (0, side * (inside + wall) / 2, middle))
         )
     link = Link("tray", [Visual("tray", mesh, "tray")], collisions)
     return Model("tray", [link], comment="Origin: centre of the underside.")

@@ -5,12 +5,12 @@
 use std::collections::BTreeMap;
 use std::sync::LazyLock;
 
-use nalgebra::{Point3, Vector3};
+use nalgebra::{Matrix3, Point3, Vector3};
 use trocar_proto::{Code, Rejection};
 use urdf_rs::{Geometry, JointType, Robot};
 
 use crate::sim::frames::{self, Aabb, Pose};
-use crate::sim::world::{BodyId, Motion, Part, Shape, World};
+use crate::sim::world::{BodyId, Inertia, Motion, Part, Shape, World};
 
 /// One rigid object; lengths in m.
 #[derive(Debug, Clone)]
@@ -19,6 +19,8 @@ pub struct Model {
     pub parts: Vec<Part>,
     /// Its mass, kg.
     pub mass: f64,
+    /// How its mass is spread.
+    pub inertia: Inertia,
     /// Friction coefficient of what it is made of.
     pub friction: f64,
     frames: Vec<(String, Pose)>,
@@ -72,6 +74,14 @@ impl Model {
         static TABLE: LazyLock<Model> =
             LazyLock::new(|| Model::read(include_str!("../../assets/table/model.urdf")));
         &TABLE
+    }
+
+    /// Puts a free body like this into the world, at rest, but of `mass`, kg.
+    pub fn insert(&self, world: &mut World, mass: f64, world_from_body: &Pose) -> BodyId {
+        let motion = Motion::Free { mass };
+        let body = world.insert(motion, world_from_body, self.friction, &self.parts);
+        world.set_inertia(body, &self.inertia.with_mass(mass));
+        body
     }
 
     /// The frame `name`, fixed to the body.
@@ -207,7 +217,8 @@ fn placed(robot: &Robot) -> Result<Vec<Placed>, ModelError> {
                 parent.scene_from_body * pose(&joint.origin)
             }
         };
-        let mass = link.inertial.mass.value;
+        let inertia = inertia(&link.inertial);
+        let mass = inertia.mass;
         if is_free && !(mass > 0.0 && mass.is_finite()) {
             return wrong(&link.name, "is free and needs a mass");
         }
@@ -219,7 +230,7 @@ fn placed(robot: &Robot) -> Result<Vec<Placed>, ModelError> {
         let material = link.visual.first().and_then(|visual| visual.material.as_ref());
         let friction = material.and_then(|material| friction_of(&material.name));
         let friction = friction.unwrap_or(UNKNOWN_FRICTION);
-        let model = Model { parts, mass, friction, frames: vec![] };
+        let model = Model { parts, mass, inertia, friction, frames: vec![] };
         bodies.push(Placed { name: link.name.clone(), model, is_free, scene_from_body });
     }
     for (body, name, pose) in frames {
@@ -242,6 +253,18 @@ fn friction_of(material: &str) -> Option<f64> {
     let mut rows = table.lines().skip(1).map(|line| line.split(',').collect::<Vec<_>>());
     let row = rows.find(|row| row[0] == material)?;
     Some(row[FRICTION].parse().expect("friction is a number"))
+}
+
+fn inertia(inertial: &urdf_rs::Inertial) -> Inertia {
+    let origin = pose(&inertial.origin);
+    let urdf_rs::Inertia { ixx, ixy, ixz, iyy, iyz, izz } = inertial.inertia;
+    let moments = Matrix3::new(ixx, ixy, ixz, ixy, iyy, iyz, ixz, iyz, izz);
+    let turn = origin.rotation.to_rotation_matrix();
+    Inertia {
+        mass: inertial.mass.value,
+        centre: origin.translation.vector.into(),
+        moments: turn.matrix() * moments * turn.matrix().transpose(),
+    }
 }
 
 fn pose(origin: &urdf_rs::Pose) -> Pose {

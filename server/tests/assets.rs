@@ -237,6 +237,36 @@ fn the_needle_weighs_what_its_steel_does() {
     assert!(mass > 0.9 * wire && mass < wire, "{mass} kg of {wire} kg");
 }
 
+#[test]
+fn block_and_gauze_weigh_what_their_materials_do() {
+    let mass = |path: &str| read(path).links[0].inertial.mass.value;
+    // A ring between triangles of 5.8 and 4.2 mm apothem, whose outer corners are cut at 8.9 mm from
+    // the axis; its edges are rounded.
+    let triangle = |apothem: f64| 3.0 * 3.0_f64.sqrt() * apothem * apothem;
+    let corner = (2.0 * 0.0058 - 0.0089_f64).powi(2) / 3.0_f64.sqrt();
+    let area = triangle(0.0058) - triangle(0.0042) - 3.0 * corner;
+    let acetal = 1410.0 * area * 0.0145;
+    assert!((0.98..1.02).contains(&(mass("block/model.urdf") / acetal)), "{acetal} kg");
+    // The sheet and the pleat above it, up to the mean height of the weave.
+    let cotton = 1040.0 * 0.0152 * (0.0255 * 0.00074 + 0.0018 * 0.00155);
+    assert!((0.98..1.02).contains(&(mass("gauze/model.urdf") / cotton)), "{cotton} kg");
+}
+
+/// Every wall of the block is where its frame says, 1.6 mm thick.
+#[test]
+fn the_block_is_a_ring_of_three_walls_about_its_frames() {
+    let robot = read("block/model.urdf");
+    assert_eq!(robot.links[0].collision.len(), 3);
+    for (collision, joint) in robot.links[0].collision.iter().zip(&robot.joints) {
+        let wall = isometry(&collision.origin);
+        assert_same_pose(&wall, &isometry(&joint.origin), &joint.name);
+        let Geometry::Box { size } = &collision.geometry else { panic!("walls are boxes") };
+        assert!((size[0] - 0.0016).abs() < AGREEMENT && (size[2] - 0.0145).abs() < AGREEMENT);
+        let to_axis = wall * Point3::new(0.005, 0.0, 0.0);
+        assert!(to_axis.coords.norm() < 1e-8, "{to_axis}");
+    }
+}
+
 /// The needle's capsules against its arc: the end spheres' centres and the chords between them.
 #[test]
 fn the_needle_capsules_follow_the_arc() {

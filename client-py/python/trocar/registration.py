@@ -17,6 +17,8 @@ TASKS = {
     "NeedlePick-v0": 50,
     "GauzeRetrieve-v0": 50,
     "PegTransfer-v0": 50,
+    "NeedleRegrasp-v0": 50,
+    "BiPegTransfer-v0": 50,
     "EcmReach-v0": 50,
     "MisOrient-v0": 50,
     "StaticTrack-v0": 50,

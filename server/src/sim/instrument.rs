@@ -9,7 +9,8 @@ use nalgebra::{Point3, Unit, UnitQuaternion, Vector3};
 
 use super::frames::{self, Aabb, Pose};
 use super::world::{
-    BodyId, Hinge, HingedId, Motion, Part, Push, SUBSTEPS_PER_SECOND, Shape, TieId, World,
+    BodyId, Hinge, HingedId, Motion, PREDICTION, Part, Push, SUBSTEPS_PER_SECOND, Shape, TieId,
+    World,
 };
 use crate::robots::Psm;
 
@@ -27,9 +28,9 @@ pub const JAW_OPEN: f64 = 0.698_131_700_797_731_8;
 /// an object while they press on its support lose it.
 pub const CLEARANCE: f64 = 0.05e-3;
 
-/// Distance at which an object counts as met, m: more than the engine's contact prediction
-/// (0.2 mm) and than the bulge of the path of a jaw tip that turns by 50°.
-const MARGIN: f64 = 1e-3;
+/// Distance at which an object counts as met, m: more than that from which on contacts are looked at,
+/// and than the bulge of the path of a jaw tip that turns by 50°.
+const MARGIN: f64 = 1.5 * PREDICTION;
 
 /// Half extents of a finger, m: across (along the hinge), thickness, length. Source: the
 /// original's collision box, 1.4 mm × 10.2 mm × 1.8 mm.

@@ -5,13 +5,14 @@
 //!
 //! - **Yield**: where an object that is in the way pushes back too hard or is pressed into what is
 //!   behind it, an instrument goes back along its path instead of forward; just before, it waits.
+//!   Where its path leads not out of what it presses on, it gives way to the side, as a real arm bends.
 //! - **Distance**: the shafts of two instruments, which nothing else keeps apart, wait where they
 //!   would come closer than they are thick.
 //! - **Quiescence**: while every free object sleeps, the jaws are as open as they should be, and the
 //!   instruments' swept volumes meet no object, no furniture (where they grip) and not each other,
 //!   the instruments move and no substep runs, since nothing else would change.
 
-use nalgebra::Point3;
+use nalgebra::{Point3, Vector3};
 
 use super::instrument::{Instrument, Posture};
 use super::world::{Overlap, Push, World};
@@ -23,6 +24,13 @@ const YIELD_FORCE: f64 = 2.5;
 /// is per mass: a needle of 0.4 g would be pressed through its support before it pushed back with
 /// [`YIELD_FORCE`].
 const YIELD_OVERLAP: f64 = 0.05e-3;
+
+/// How far an instrument gives way in a substep where going back does not help, m: jaws that close
+/// swing their tips down by 0.6 mm, onto what may lie under them.
+const ASIDE: f64 = 0.05e-3;
+
+/// What counts as the way covered by an instrument that is beside its path at the end: not all of it.
+const BESIDE: f64 = 1.0 - f64::EPSILON;
 
 /// Overlap beyond which locked jaws wait, m.
 const HOLD_OVERLAP_LOCKED: f64 = 0.5 * YIELD_OVERLAP;
@@ -43,12 +51,17 @@ struct Way<'a> {
     done: u32,
     /// What pushed in the last substep.
     push: Push,
+    /// How far it has given way off its path, m.
+    aside: Vector3<f64>,
 }
 
 impl Way<'_> {
     /// The posture in substep `now` of `substeps` where the wrist has covered `done` of them.
     fn along(&self, done: u32, now: u32, substeps: u32) -> Posture {
-        self.start.towards(&self.end, smoothstep(done, substeps), smoothstep(now, substeps))
+        let (wrist, jaw) = (smoothstep(done, substeps), smoothstep(now, substeps));
+        let mut posture = self.start.towards(&self.end, wrist, jaw);
+        posture.world_from_wrist.translation.vector += self.aside;
+        posture
     }
 }
 
@@ -66,6 +79,7 @@ pub fn travel<const N: usize>(
         end: ends.next().expect("as many ends as instruments"),
         done: 0,
         push: Push::NONE,
+        aside: Vector3::zeros(),
         instrument,
     });
     for now in 1..=substeps {
@@ -97,12 +111,17 @@ pub fn travel<const N: usize>(
             };
             let hold =
                 if way.instrument.grips() { HOLD_OVERLAP_GRIPPING } else { HOLD_OVERLAP_LOCKED };
+            let done = way.done;
             way.done = match resistance(&way.push, &from, &to, hold) {
                 Resistance::Drives => way.done.saturating_sub(1),
                 Resistance::Holds => way.done,
                 Resistance::None if waits => way.done,
                 Resistance::None => way.done + 1,
             };
+            let overlap = &way.push.overlap;
+            if overlap.depth > YIELD_OVERLAP && way.done >= done {
+                way.aside -= overlap.into * ASIDE;
+            }
             let next = way.along(way.done, now, substeps);
             way.instrument.drive(world, next);
         }
@@ -111,7 +130,10 @@ pub fn travel<const N: usize>(
             way.push = way.instrument.push(world);
         }
     }
-    ways.map(|way| smoothstep(way.done, substeps))
+    ways.map(|way| {
+        let reached = smoothstep(way.done, substeps);
+        if way.aside == Vector3::zeros() { reached } else { reached.min(BESIDE) }
+    })
 }
 
 /// Whether no instrument meets anything on its way to the posture that `to` tells.

@@ -17,9 +17,11 @@ use rapier3d::prelude::{
 use super::frames::{self, Aabb, Pose, SCALE};
 
 mod hinge;
+mod inertia;
 mod tie;
 
 pub use hinge::{Hinge, HingedId};
+pub use inertia::Inertia;
 pub use tie::TieId;
 
 /// Acceleration of free fall, m/s².
@@ -220,6 +222,7 @@ impl World {
             static_contact_softness: softness,
             friction_model: FrictionModel::Simplified,
             normalized_max_corrective_velocity: (RECOVERY_SPEED / LENGTH_UNIT) as f32,
+            normalized_prediction_distance: (PREDICTION / LENGTH_UNIT) as f32,
             friction_in_bias_pass: false,
             warmstart_joints: false,
             contact_recycling: true,
@@ -525,6 +528,10 @@ const CONTACT_DAMPING: f32 = 5.0;
 /// contacts give in: they push no harder however deep the overlap, and jaws sink into the wire that
 /// they hold.
 const RECOVERY_SPEED: f64 = 0.5;
+
+/// Distance from which on contacts are looked at, m: in a substep a tip moves by 0.5 mm, and the far
+/// edge of what lands on its near one by some millimetres.
+pub(super) const PREDICTION: f64 = 1e-3;
 
 /// Size of what is simulated, m: the engine's tolerances are fractions of it.
 const LENGTH_UNIT: f64 = 0.01;

@@ -93,8 +93,9 @@ const OPEN: f64 = 0.9 * JAW_OPEN;
 /// Jaws that closed to less than this hold nothing, rad.
 const EMPTY: f64 = 0.02;
 
-/// Speed below which an object that both arms hold is at rest, m/s.
-const AT_REST: f64 = 0.5e-3;
+/// For how many steps both arms hold an object before the giving one opens its jaws: until the taking
+/// one's have closed and what they moved is at rest.
+const GRIPPED: u32 = 2;
 
 /// Distance of an open jaw's tip from the object at which the arm is clear of it, m.
 const CLEAR: f64 = 0.003;
@@ -105,7 +106,7 @@ const BACK: f64 = 0.01;
 /// What an arm is to do: where its wrist goes, and its jaw angle, rad.
 pub type Waypoint = (Pose, f64);
 
-/// A hand-over as the expert does it. It looks only at the present state.
+/// A hand-over as the expert does it.
 #[derive(Debug, Clone, Copy)]
 pub struct HandOver {
     /// What is handed over.
@@ -114,6 +115,8 @@ pub struct HandOver {
     pub offer: Pose,
     /// The taking arm's wrist that grasps the object which is offered; it comes along its jaws.
     pub take: Pose,
+    /// For how many steps both have held the object: see [`holding_together`].
+    pub together: u32,
     /// How far before its grasp the taking arm opens its jaws, m.
     pub hover: f64,
     /// Whether closed jaws near the object have it as soon as the other arm lets go, whatever they
@@ -152,8 +155,8 @@ impl HandOver {
                 Stage::Under([(offer, JAW_CLOSED), self.taking(taker, world, offered)])
             }
             (true, true) => {
-                let at_rest = world.velocity(self.object).norm() < AT_REST;
-                let giver_jaw = if at_rest { JAW_OPEN } else { JAW_CLOSED };
+                let safe = self.by_nearness || self.together >= GRIPPED;
+                let giver_jaw = if safe { JAW_OPEN } else { JAW_CLOSED };
                 Stage::Under([(giver_wrist, giver_jaw), (taker_wrist, JAW_CLOSED)])
             }
             (false, true) => {
@@ -191,6 +194,11 @@ impl HandOver {
     }
 }
 
+/// For how many steps both arms have held `object` after another one, if it was `before` until then.
+pub fn holding_together(arms: [&PsmArm; 2], world: &World, object: BodyId, before: u32) -> u32 {
+    if arms.iter().all(|arm| arm.holds(world, object)) { before + 1 } else { 0 }
+}
+
 /// Whether a wrist is where it shall be.
 fn is_at(wrist: &Pose, target: &Pose) -> bool {
     let off = target.inv_mul(wrist);
@@ -214,4 +222,81 @@ pub fn carried(arm: &PsmArm, way: Vector3<f64>) -> Waypoint {
 /// Where an arm is, with its jaws closed.
 pub fn staying(arm: &PsmArm) -> Waypoint {
     carried(arm, Vector3::zeros())
+}
+
+#[cfg(test)]
+pub(super) mod tests {
+    use super::*;
+    use crate::sim::random::Rng;
+    use crate::tasks::Task;
+    use crate::tasks::bi_peg_transfer::BiPegTransfer;
+    use crate::tasks::needle_regrasp::NeedleRegrasp;
+    use crate::tasks::psm_scene::MAX_STEPS;
+    use trocar_proto::Options;
+
+    /// How far shafts may overlap that pushed against each other, m: what they move in a substep.
+    const TOUCHING: f64 = 0.2e-3;
+
+    /// A task whose arms and object tests look at.
+    pub(in crate::tasks) trait Watched: Task {
+        fn arms(&self) -> &[PsmArm; 2];
+        fn object(&self) -> BodyId;
+    }
+
+    /// So many trials: `full` in a soak.
+    pub(in crate::tasks) fn count(reduced: u64, full: u64) -> u64 {
+        if std::env::var_os("TROCAR_SOAK").is_some() { full } else { reduced }
+    }
+
+    /// Lets a step pass, in which nothing is tied and no arm passes through the other.
+    pub(in crate::tasks) fn act<T: Watched>(task: &mut T, world: &mut World, action: &[f32]) {
+        let action: Vec<_> = action.iter().map(|number| number.clamp(-1.0, 1.0)).collect();
+        Task::apply(task, world, Some(&action));
+        let is_tied = world.joints().flatten().any(|body| body == task.object());
+        assert!(!is_tied, "friction, and nothing else");
+        let [one, two] = task.arms();
+        assert!(one.gap(two) > -TOUCHING, "{} m", one.gap(two));
+    }
+
+    /// Lets a step pass as the expert wants it.
+    pub(in crate::tasks) fn act_as_expert<T: Watched>(task: &mut T, world: &mut World) {
+        let mut action = [0.0; 10];
+        Task::expert(task, world, &mut action);
+        act(task, world, &action);
+    }
+
+    fn push_arms_together<T: Watched>(episodes: u64) {
+        let (mut task, mut world) = T::new(&Options::new()).unwrap();
+        if task.begins_prepared() {
+            Task::prepare(&mut task, &mut world, &mut Rng::start(0));
+        }
+        let (first, before) = (task, world);
+        let mut nearest = f64::INFINITY;
+        for seed in 0..episodes {
+            let mut rng = Rng::new(seed, 0);
+            let (mut task, mut world) = (first.clone(), before.clone());
+            Task::reset(&mut task, &mut world, &mut rng);
+            // At the same height first, then at random.
+            for step in 0..MAX_STEPS {
+                let mut action: Vec<_> = (0..10).map(|_| rng.uniform(-1.0, 1.0) as f32).collect();
+                let [one, two] = task.arms().each_ref().map(|arm| *arm.scene_from_wrist());
+                let off = two.translation.vector - one.translation.vector;
+                for axis in [0, 2] {
+                    let towards = (off[axis] / 0.01) as f32;
+                    action[axis] = if step % 3 > 0 { towards } else { action[axis] };
+                }
+                (action[1], action[6]) = (-1.0, 1.0);
+                act(&mut task, &mut world, &action);
+                let [one, two] = task.arms();
+                nearest = nearest.min(one.gap(two));
+            }
+        }
+        assert!(nearest < 10e-3, "they never met: {nearest} m");
+    }
+
+    #[test]
+    fn arms_that_push_against_each_other_do_not_pass() {
+        push_arms_together::<BiPegTransfer>(count(4, 100));
+        push_arms_together::<NeedleRegrasp>(count(4, 100));
+    }
 }

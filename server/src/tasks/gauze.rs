@@ -8,7 +8,7 @@ use super::tray;
 use crate::assets::Model;
 use crate::sim::frames::{self, Aabb, Pose};
 use crate::sim::random::Rng;
-use crate::sim::world::{BodyId, Motion, World};
+use crate::sim::world::{BodyId, World};
 
 /// Origin of the tray, m: a little higher than with a pad in it. Source: the original.
 const TRAY_ORIGIN: [f64; 3] = [0.55, 0.0, 0.6781];
@@ -57,7 +57,7 @@ impl Gauze {
         };
         let centre = WORKSPACE.centre();
         let at = Self::resting(centre.x, centre.y);
-        Self { body: world.insert(Motion::Free { mass }, &at, model.friction, &model.parts) }
+        Self { body: model.insert(world, mass, &at) }
     }
 
     /// The body in the world.
@@ -111,6 +111,25 @@ impl Gauze {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_gauze_that_is_dropped_lies_on_the_floor_not_in_it() {
+        let mut world = furnished_world(Preset::Paper);
+        let gauze = Gauze::insert(&mut world, Preset::Paper);
+        for (index, height) in [0.01, 0.03, 0.05].into_iter().enumerate() {
+            let tilt = 0.1 * index as f64;
+            let mut pose = frames::pose([0.55, 0.0, 0.0], [tilt, 0.5 * tilt, 0.0]);
+            pose.translation.z = floor() + height;
+            world.place(gauze.body(), &pose);
+            world.wake(gauze.body());
+            for _ in 0..480 {
+                world.step();
+            }
+            assert!(world.at_rest());
+            let sunk = floor() - Model::gauze().aabb(&world.pose(gauze.body())).min.z;
+            assert!(sunk.abs() < 0.1e-3, "from {height} m: {sunk} m");
+        }
+    }
 
     #[test]
     fn a_gauze_lies_in_tray_and_workspace_and_stays_where_it_is_laid() {

@@ -7,6 +7,7 @@
 //! | [`needle_pick`] | a PSM picks up a needle and brings it to a goal |
 //! | [`peg_transfer`] | a PSM takes a block from one peg to another |
 //! | [`needle_regrasp`] | a PSM hands a needle to the other, which brings it to a goal |
+//! | [`bi_peg_transfer`] | a PSM takes a block to the other, which puts it onto a peg |
 //! | [`ecm_reach`] | the endoscope goes to a position |
 //! | [`mis_orient`] | the endoscope is rolled until its picture is level |
 //! | [`static_track`] | the endoscope centres a cube among others |
@@ -23,6 +24,7 @@ use crate::sim::random::Rng;
 use crate::sim::world::World;
 
 pub mod active_track;
+pub mod bi_peg_transfer;
 pub mod bimanual;
 pub mod camera;
 pub mod ecm_reach;
@@ -131,6 +133,7 @@ impl Registry {
         registry.register::<gauze_retrieve::GauzeRetrieve>();
         registry.register::<needle_pick::NeedlePick>();
         registry.register::<peg_transfer::PegTransfer>();
+        registry.register::<bi_peg_transfer::BiPegTransfer>();
         registry.register::<needle_regrasp::NeedleRegrasp>();
         registry.register::<ecm_reach::EcmReach>();
         registry.register::<mis_orient::MisOrient>();

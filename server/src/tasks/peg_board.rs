@@ -13,7 +13,7 @@ use super::tray;
 use crate::assets::Model;
 use crate::sim::frames::{self, Aabb, Pose};
 use crate::sim::random::Rng;
-use crate::sim::world::{BodyId, Motion, World};
+use crate::sim::world::{BodyId, World};
 
 /// Middle of the board, m. Source: the original.
 const ORIGIN: [f64; 3] = [0.55, 0.0, 0.6861];
@@ -118,8 +118,7 @@ impl PegBoard {
         };
         let mut block = |peg| {
             let at = Block::standing(peg, 0.0);
-            let body = world.insert(Motion::Free { mass }, &at, model.friction, &model.parts);
-            Block { body }
+            Block { body: model.insert(world, mass, &at) }
         };
         Self { blocks: SOURCES.take(blocks).map(&mut block).collect() }
     }

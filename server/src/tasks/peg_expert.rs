@@ -10,6 +10,7 @@ use super::peg_board::{Block, PegBoard};
 use super::pick::{jaws_across, step_towards};
 use super::psm_scene::PsmArm;
 use super::start::Start;
+use crate::assets::Model;
 use crate::sim::frames::Pose;
 use crate::sim::instrument::{FINGER_HALF, JAW_CLOSED, JAW_OPEN, TIP_OFFSET};
 use crate::sim::world::World;
@@ -18,7 +19,7 @@ use crate::sim::world::World;
 const DEPTH: f64 = 3.5e-3;
 
 /// How high what is carried, and an empty jaw, pass over the pegs, m.
-const PASS: f64 = 2e-3;
+pub(super) const PASS: f64 = 2e-3;
 
 /// How exactly the wrist is above the grasp before it goes down, m and rad.
 const ALIGNED: f64 = 0.4e-3;
@@ -29,6 +30,12 @@ const LOW: f64 = 0.3e-3;
 
 /// Room that may be missing beside a wall for a radian less to turn, m.
 const TIGHT: f64 = 0.1e-3;
+
+/// Part of a wall's way from the axis along y that is well on its side.
+const WELL_ASIDE: f64 = 0.5;
+
+/// Part of it that may be missing for a radian less to turn.
+const AWKWARD: f64 = 0.1;
 
 /// Jaws open at least this far go down, or leave, rad.
 const OPEN: f64 = 0.9 * JAW_OPEN;
@@ -53,6 +60,9 @@ pub struct Transfer {
     pub block: Block,
     /// The peg to which it is to go.
     pub target: usize,
+    /// Where the wall lies by which it is best held, seen from its axis: 1 towards y, −1 against it, 0
+    /// wherever.
+    pub side: f64,
 }
 
 impl Transfer {
@@ -66,7 +76,7 @@ impl Transfer {
     pub fn progress(&self, arm: &PsmArm, world: &World) -> Start {
         let block = world.pose(self.block.body());
         if arm.holds(world, self.block.body()) {
-            let passes = block.translation.z - Block::half_height() - peg_top();
+            let passes = bottom(&block) - peg_top();
             return if passes >= 0.5 * PASS { Start::Lift } else { Start::Pick };
         }
         let (grasp, jaw) = self.pick(arm, world);
@@ -75,12 +85,13 @@ impl Transfer {
         if is_there && closes && arm.opening(world) > OPEN { Start::Approach } else { Start::Reset }
     }
 
-    fn waypoint(&self, arm: &PsmArm, world: &World) -> (Pose, f64) {
+    /// Where the wrist of `arm` goes now, and the angle of its jaws, rad.
+    pub fn waypoint(&self, arm: &PsmArm, world: &World) -> (Pose, f64) {
         let wrist = arm.scene_from_wrist();
         let by = |way: Vector3<f64>| Pose::from(way) * wrist;
         let held = arm.holds(world, self.block.body());
         let block = world.pose(self.block.body());
-        let height = block.translation.z - Block::half_height() - PegBoard::top();
+        let height = bottom(&block) - PegBoard::top();
         if PegBoard::is_on(world, self.block, self.target) && (height < LET_GO || !held) {
             // Open, then straight up and out of the way.
             let up = if arm.opening(world) > OPEN { pass() - wrist.translation.z } else { 0.0 };
@@ -91,14 +102,9 @@ impl Transfer {
 
     /// The way on which a held block goes now.
     fn carry(&self, block: &Pose, wrist: &Pose) -> Vector3<f64> {
-        let held = (0..Block::WALLS)
-            .map(|wall| block * Block::block_from_wall(wall))
-            .min_by(|a, b| distance(a, wrist).total_cmp(&distance(b, wrist)))
-            .expect("a block has walls");
-        let inwards = level(&(held.rotation * Vector3::x()));
-        let goal = PegBoard::peg(self.target) - inwards * OFF_AXIS;
+        let goal = PegBoard::peg(self.target) + outwards(block, held_wall(block, wrist)) * OFF_AXIS;
         let way = level(&(goal - block.translation.vector));
-        let bottom = block.translation.z - Block::half_height();
+        let bottom = bottom(block);
         let passes = bottom - peg_top();
         let near = if passes < 0.0 { STILL_OVER } else { OVER };
         if way.norm() < near {
@@ -114,10 +120,14 @@ impl Transfer {
     fn pick(&self, arm: &PsmArm, world: &World) -> (Pose, f64) {
         let wrist = arm.scene_from_wrist();
         let block = world.pose(self.block.body());
-        let cost = |(pose, missing): &(Pose, f64)| turn(pose, wrist) + missing / TIGHT;
         let (grasp, _) = (0..Block::WALLS)
-            .map(|wall| grasp(&block, wall, wrist))
-            .min_by(|a, b| cost(a).total_cmp(&cost(b)))
+            .map(|wall| {
+                let (pose, missing) = grasp(&block, wall, wrist);
+                let aside = self.side * outwards(&block, wall).y;
+                let awkward = (self.side.abs() * WELL_ASIDE - aside).max(0.0) / AWKWARD;
+                (pose, turn(&pose, wrist) + missing / TIGHT + awkward)
+            })
+            .min_by(|(_, a), (_, b)| a.total_cmp(b))
             .expect("a block has walls");
         let off = wrist.translation.vector - grasp.translation.vector;
         let aligned = off.xy().norm() < ALIGNED && turn(&grasp, wrist) < TURNED;
@@ -139,14 +149,43 @@ impl Transfer {
     }
 }
 
+/// The wall of a block that is nearest to a wrist.
+pub(super) fn held_wall(block: &Pose, wrist: &Pose) -> usize {
+    let off = |wall: usize| distance(&(block * Block::block_from_wall(wall)), wrist);
+    (0..Block::WALLS).min_by(|a, b| off(*a).total_cmp(&off(*b))).expect("a block has walls")
+}
+
+/// The level direction from a block's axis to the middle of a wall.
+pub(super) fn outwards(block: &Pose, wall: usize) -> Vector3<f64> {
+    let wall = block * Block::block_from_wall(wall);
+    // A block that lies on its side has no wall to grasp: any direction does.
+    level(&(wall.rotation * -Vector3::x())).try_normalize(1e-3).unwrap_or(-Vector3::x())
+}
+
+/// The wrist that grasps a wall of a block in the air: jaws straight down across the wall.
+pub(super) fn grasp_in_air(block: &Pose, wall: usize, wrist: &Pose) -> Pose {
+    let middle = (block * Block::block_from_wall(wall)).translation.vector;
+    let top = block.translation.z + Block::half_height();
+    let at = Vector3::new(middle.x, middle.y, top - DEPTH + TIP_OFFSET);
+    let across = Vector3::z().cross(&outwards(block, wall));
+    Pose::from_parts(at.into(), jaws_across(&across, wrist))
+}
+
+/// Height of the lowest point of a block, m: it may hang askew.
+fn bottom(block: &Pose) -> f64 {
+    Model::block().aabb(block).min.z
+}
+
+/// The way up on which a block clears the pegs, m; below 0 where it is higher.
+pub(super) fn way_over_pegs(block: &Pose) -> f64 {
+    peg_top() + PASS - bottom(block)
+}
+
 /// The wrist that grasps a wall of a block: jaws straight down across the wall, the inner finger
 /// between wall and peg. Also what is missing of the room for it, m.
 fn grasp(block: &Pose, wall: usize, wrist: &Pose) -> (Pose, f64) {
-    let wall = block * Block::block_from_wall(wall);
-    let inwards = level(&(wall.rotation * Vector3::x()));
-    // A block that lies on its side has no wall to grasp: any direction does.
-    let inwards = inwards.try_normalize(1e-3).unwrap_or(Vector3::x());
-    let middle = wall.translation.vector;
+    let inwards = -outwards(block, wall);
+    let middle = (block * Block::block_from_wall(wall)).translation.vector;
     let (sin, cos) = libm::sincos(0.5 * JAW_OPEN);
     // From the middle of open jaws: the far side of a finger at its tip, the near side at the block's
     // top.

@@ -248,6 +248,6 @@ impl PegTransfer {
     /// What is to be done.
     fn transfer(&self) -> Transfer {
         let Layout { block, target } = self.layout;
-        Transfer { block, target }
+        Transfer { block, target, side: 0.0 }
     }
 }

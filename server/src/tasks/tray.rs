@@ -72,7 +72,7 @@ impl Needle {
             Preset::Surrol => Self::SURROL_MASS,
         };
         let at = Self::resting(pad().centre().x, pad().centre().y, 0.0);
-        Self { body: world.insert(Motion::Free { mass }, &at, model.friction, &model.parts) }
+        Self { body: model.insert(world, mass, &at) }
     }
 
     /// The body in the world.

@@ -1,0 +1,405 @@
+//! Bimanual peg transfer: a PSM takes a block to the other, which puts it onto a peg.
+//!
+//! # Description
+//!
+//! Six blocks, triangular rings, stand on a board about the pegs on PSM2's side. PSM2 is to lift one
+//! of them off its peg and hand it over in the air, over the midline, to PSM1, which puts it onto a
+//! peg on its own side. Fingers and block touch by friction alone: nothing ever ties a block to the
+//! jaws.
+//!
+//! # Action Space
+//!
+//! `action = "paper"`, each number in [−1, 1]; the other modes are in [`psm_scene`](super::psm_scene).
+//!
+//! | Num | Meaning | Min | Max | Unit |
+//! |---|---|---|---|---|
+//! | 0 | PSM1 dx, scene frame | −1 | 1 | 10 mm |
+//! | 1 | PSM1 dy, scene frame | −1 | 1 | 10 mm |
+//! | 2 | PSM1 dz, scene frame | −1 | 1 | 10 mm |
+//! | 3 | PSM1 turn about the vertical | −1 | 1 | 30° |
+//! | 4 | PSM1 jaw: below 0 close, else open to 40° | −1 | 1 | – |
+//! | 5–9 | the same of PSM2 | −1 | 1 | |
+//!
+//! Both arms move at the same time, from the sensed wrists, in 0.2 s along a smooth profile, each
+//! confined to its own workspace: see [`psm_scene`](super::psm_scene).
+//!
+//! # Observation Space
+//!
+//! | Num | Meaning | Min | Max | Unit |
+//! |---|---|---|---|---|
+//! | 0 | PSM1 wrist x (wrist-yaw axis, as sensed), scene frame | 0.495 | 0.605 | m |
+//! | 1 | PSM1 wrist y | −0.005 | 0.055 | m |
+//! | 2 | PSM1 wrist z | 0.6952 | 0.7722 | m |
+//! | 3 | roll of PSM1's wrist link; −π/2 under `paper` | −π | π | rad |
+//! | 4 | pitch; 0 under `paper` | −π/2 | π/2 | rad |
+//! | 5 | yaw; π/2 at the start | −π | π | rad |
+//! | 6 | PSM1 jaw angle: the opening between the fingers | −0.1 | 1 | rad |
+//! | 7–13 | the same of PSM2, y from −0.055 to 0.005 | | | |
+//! | 14–16 | block x, y, z (its centre), scene frame | 0.292, −0.268, 0.6 | 0.708, 0.268, 0.9 | m |
+//! | 17–19 | block less PSM1's wrist x, y, z, scene frame | −0.313, −0.323, −0.1722 | 0.213, 0.273, 0.2048 | m |
+//! | 20–22 | block less PSM2's wrist x, y, z, scene frame | −0.313, −0.273, −0.1722 | 0.213, 0.323, 0.2048 | m |
+//! | 23–25 | middle of the block's wall 1 x, y, z, scene frame | 0.292, −0.268, 0.6 | 0.708, 0.268, 0.9 | m |
+//! | 26–28 | roll, pitch, yaw of that wall | −π, −π/2, −π | π, π/2, π | rad |
+//! | 29–31 | middle of the block's wall 2 x, y, z, scene frame | 0.292, −0.268, 0.6 | 0.708, 0.268, 0.9 | m |
+//! | 32–34 | roll, pitch, yaw of that wall | −π, −π/2, −π | π, π/2, π | rad |
+//!
+//! The angles are extrinsic XYZ Euler angles, R = Rz(yaw)·Ry(pitch)·Rx(roll): 3–5 and 10–12 of the
+//! wrist-yaw links, whose y axis points along the jaws and whose z axis is their hinge; 26–28 and
+//! 32–34 of frames whose x axis points from the wall to the axis of the block, which is their z axis.
+//! What is outside its range is shown at its end. Achieved goal: the centre of the block (x, y, z, m);
+//! desired goal: the centre of the target peg. Both ignore `domain`'s noise and encoder errors.
+//!
+//! # Rewards
+//!
+//! `sparse` (default): 0 where the block is on the peg, −1 otherwise. It is on the peg where the goals
+//! are less than 5 mm apart in x and y and less than 4 mm in z: a block that stands on the board is
+//! 3.75 mm below the peg's centre. The jaws may still hold it. `dense`: minus the distance of the
+//! goals, m. Both are functions of the goals alone.
+//!
+//! # Starting State
+//!
+//! The wrists at the corners (0.50, ±0.05, 0.7552) m, jaws closed and straight down. Six blocks stand
+//! about the six sources, each turned by up to ±30°; one of them is to go to a peg drawn from the six
+//! targets.
+//!
+//! # Episode End
+//!
+//! Truncated after 50 steps; never terminated.
+//!
+//! # Options
+//!
+//! `reward`, `action`, `observation`, and:
+//!
+//! - `grasp`: `interact`: friction alone; `approx`: a tie between wrist and block when jaws close whose
+//!   tip is within `grasp_distance` (0.002 m) of it, through which the fingers then pass; `weld`:
+//!   friction until the block's centre is 10 mm above those of the pegs, then a tie. One arm at a time
+//!   has a tie.
+//! - `start`, the paper's variants: PSM2 has done `approach` (its open jaws are about a wall), `pick`
+//!   (they hold it) or `lift` (above the pegs): one of 64 states that the expert made, with a new
+//!   target.
+//! - `preset = "surrol"`: positions, goals and tolerances in units of 0.2 m (metres × 5), blocks of
+//!   10 g, gripped with 3 N instead of 1 N, `grasp = "weld"` unless given.
+//! - `domain`: `friction` (coefficient of the jaws), `observation_noise` (m, on observed positions),
+//!   `joint_offset` (rad, on every rotary joint), `latency` (steps; the arms hold until the first
+//!   action arrives).
+//! - `setup`: `base`, `base_2` (x, y, z in m and turn in rad of PSM1's and PSM2's base),
+//!   `table_height` (m). Each arm must reach its whole workspace.
+//!
+//! `spawn` does not apply: blocks and goals are where the pegs are.
+//!
+//! # Differences from the original
+//!
+//! - The block is held by friction from beginning to end; the original fixes it to the wrist when it
+//!   is 10 mm above the pegs' centres.
+//! - Metres instead of metres × 5.
+//! - Blocks weigh 1.44 g (acetal) instead of 10 g, and stand on the board from the first step instead
+//!   of falling onto it.
+//! - dVRK's joint limits; the jaws stay above the board instead of running into it; shafts do not
+//!   pass through each other.
+//! - An instrument that would crush a block yields.
+//! - The expert's PSM2 grasps the wall to which it has to turn least of those on its own side, PSM1
+//!   another one; they meet beside the target, as low as the pegs allow. Seeds determine the episode.
+//!
+//! # Version History
+//!
+//! - v0: first version.
+
+use nalgebra::Vector3;
+use trocar_proto::goal::Reward;
+use trocar_proto::spec::OptionSpec;
+use trocar_proto::{Options, Rejection, TaskSpec};
+
+use super::Task;
+use super::bimanual::{self, HandOver, Stage, Waypoint};
+use super::objects;
+use super::options::{self, Preset};
+use super::peg_board::{Block, Layout, PegBoard};
+use super::peg_expert::{self, Transfer};
+use super::psm_scene::{self, MAX_STEPS, PaperAction, PsmArm, SECONDS_PER_STEP, Station, Turn};
+use super::start::{self, Start};
+use super::tray;
+use crate::sim::frames::{Aabb, Pose};
+use crate::sim::grasp::{Grasp, GraspMode};
+use crate::sim::instrument::{JAW_OPEN, TIP_OFFSET};
+use crate::sim::random::Rng;
+use crate::sim::world::World;
+
+/// Number of blocks. Source: the original.
+const BLOCKS: usize = 6;
+
+/// The walls of the block that are observed. Source: the original, whose PSM1 and PSM2 grasp them.
+const WALLS: [usize; 2] = [1, 2];
+
+/// Where PSM1 and PSM2 work, m. Source: the original.
+const WORKSPACES: [Aabb; 2] = [
+    Aabb::new([0.50, 0.0, 0.686], [0.60, 0.05, 0.745]),
+    Aabb::new([0.50, -0.05, 0.686], [0.60, 0.0, 0.745]),
+];
+
+/// Height of the block's centre above that of its target from which a tie may hold it under
+/// `grasp = "weld"`, m. Source: the original.
+const WELD_LIFT: f64 = 0.01;
+
+/// How far above the grasp PSM1 opens its jaws, m. Source: the original.
+const HOVER: f64 = 0.01;
+
+/// Distance from the midline at which PSM1 waits, m.
+const WAITING: f64 = 0.025;
+
+/// The task; see the module's description.
+#[derive(Debug, Clone)]
+pub struct BiPegTransfer {
+    arms: [PsmArm; 2],
+    board: PegBoard,
+    grasp: Grasp,
+    /// Whether jaws have the block when they close near it (`grasp = "approx"`).
+    by_nearness: bool,
+    /// For how many steps both arms have held the block.
+    together: u32,
+    start: Start,
+    preset: Preset,
+    reward: Reward,
+    layout: Layout,
+}
+
+impl Task for BiPegTransfer {
+    const ID: &'static str = "BiPegTransfer-v0";
+
+    fn options() -> Vec<OptionSpec> {
+        let [grasp, grasp_distance] = options::grasp();
+        vec![
+            options::reward(),
+            grasp,
+            grasp_distance,
+            options::action(),
+            options::observation(),
+            options::preset(),
+            start::option(),
+            options::grasp_domain(),
+            options::setup(&PsmArm::setup_rows(2)),
+        ]
+    }
+
+    fn new(options: &Options) -> Result<(Self, World), Rejection> {
+        let preset = options::preset_of(options);
+        let mut world = tray::bare_table(preset);
+        let board = PegBoard::insert(&mut world, preset, BLOCKS);
+        let layout = Layout { block: board.blocks()[0], target: 0 };
+        let mode = options::grasp_of(options);
+        let grasp = Grasp::new(&mut world, mode, layout.block.body());
+        let paper = PaperAction { turn: Turn::Vertical, jaw: true };
+        let mut arm = |arm: usize| {
+            let workspace = WORKSPACES[arm];
+            let y = [workspace.max.y, workspace.min.y][arm];
+            let start = [workspace.min.x, y, workspace.max.z + TIP_OFFSET];
+            let start = psm_scene::straight_down(start);
+            let station =
+                Station { arm, workspace, start, support: PegBoard::top(), squeeze: None };
+            PsmArm::insert(&mut world, options, paper, station)
+        };
+        let task = Self {
+            arms: [arm(0)?, arm(1)?],
+            board,
+            grasp,
+            by_nearness: matches!(mode, GraspMode::Approx { .. }),
+            together: 0,
+            start: Start::of(options),
+            preset,
+            reward: options::reward_of(options),
+            layout,
+        };
+        Ok((task, world))
+    }
+
+    fn spec(&self) -> TaskSpec {
+        let [one, two] = &self.arms;
+        let walls = ["wall 1", "wall 2"];
+        TaskSpec {
+            id: Self::ID.into(),
+            summary: "Take a block to the other arm, which puts it onto a peg.".into(),
+            max_steps: MAX_STEPS,
+            seconds_per_step: SECONDS_PER_STEP,
+            action: bimanual::action_elements([one, two]),
+            observation: bimanual::observation_elements([one, two], "block", walls, self.preset),
+            goal: Some(PegBoard::goal_spec(self.preset)),
+            reward: self.reward,
+            options: Self::options(),
+        }
+    }
+
+    fn begins_prepared(&self) -> bool {
+        self.start != Start::Reset
+    }
+
+    fn prepare(&mut self, world: &mut World, rng: &mut Rng) {
+        start::bring_about(self, world, rng, Self::begin, |task, world| {
+            task.fetching().progress(&task.arms[1], world) >= task.start
+        });
+    }
+
+    fn reset(&mut self, world: &mut World, rng: &mut Rng) {
+        if self.begins_prepared() {
+            self.layout.target = PegBoard::draw_target(rng);
+        } else {
+            self.begin(world, rng);
+        }
+    }
+
+    fn apply(&mut self, world: &mut World, action: Option<&[f32]>) {
+        let Layout { block, target } = self.layout;
+        let lifted = PegBoard::peg(target).z + WELD_LIFT;
+        let [one, two] = &mut self.arms;
+        psm_scene::step([one, two], world, &mut self.grasp, action, |world| {
+            world.pose(block.body()).translation.z > lifted
+        });
+        let arms = [&*one, &*two];
+        self.together = bimanual::holding_together(arms, world, block.body(), self.together);
+    }
+
+    fn observe(
+        &self,
+        world: &World,
+        observation: &mut [f32],
+        achieved: &mut [f32],
+        desired: &mut [f32],
+    ) {
+        let [one, two] = &self.arms;
+        let Layout { block, target } = self.layout;
+        let centre = world.pose(block.body());
+        let walls = WALLS.map(|wall| block.scene_from_wall(world, wall));
+        bimanual::observe([one, two], world, &centre, &walls, self.preset, observation);
+        objects::write_goal(&centre.translation.vector, self.preset, achieved);
+        objects::write_goal(&PegBoard::peg(target), self.preset, desired);
+    }
+
+    fn expert(&self, world: &World, action: &mut [f32]) {
+        let [one, two] = &self.arms;
+        bimanual::act([one, two], &self.waypoints(world), action);
+    }
+}
+
+impl BiPegTransfer {
+    /// Sets up the blocks, draws a target, brings the arms to their starts.
+    fn begin(&mut self, world: &mut World, rng: &mut Rng) {
+        self.layout = self.board.lay_out(world, rng);
+        self.grasp.reset(world, self.layout.block.body());
+        self.together = 0;
+        for arm in &mut self.arms {
+            arm.reset(world, rng);
+        }
+    }
+
+    /// PSM2's part: to pick up the block by a wall on its own side.
+    fn fetching(&self) -> Transfer {
+        let Layout { block, target } = self.layout;
+        Transfer { block, target, side: -1.0 }
+    }
+
+    /// PSM1's part: to bring the block to its target.
+    fn placing(&self) -> Transfer {
+        Transfer { side: 0.0, ..self.fetching() }
+    }
+
+    /// What both arms are to do now.
+    fn waypoints(&self, world: &World) -> [Waypoint; 2] {
+        let [one, two] = &self.arms;
+        let Layout { block, target } = self.layout;
+        let up = peg_expert::way_over_pegs(&world.pose(block.body()));
+        let is_low = up > 0.5 * peg_expert::PASS;
+        match self.hand_over(world).stage(two, one, world) {
+            Stage::Under(_) if is_low => {
+                [self.waiting(), bimanual::carried(two, Vector3::z() * up)]
+            }
+            Stage::Under([two, one]) => [one, two],
+            Stage::Over { giver, clear: false } => [bimanual::staying(one), giver],
+            Stage::Over { giver, clear: true } => [self.placing().waypoint(one, world), giver],
+            Stage::Lost => {
+                let at = world.pose(block.body()).translation.vector;
+                if PegBoard::is_on(world, block, target) || at.y > two.reach().max.y {
+                    [self.placing().waypoint(one, world), bimanual::staying(two)]
+                } else {
+                    [self.waiting(), self.fetching().waypoint(two, world)]
+                }
+            }
+        }
+    }
+
+    /// The hand-over over the midline, beside the target.
+    fn hand_over(&self, world: &World) -> HandOver {
+        let [one, two] = &self.arms;
+        let Layout { block, target } = self.layout;
+        let pose = world.pose(block.body());
+        let (giver, taker) = (two.scene_from_wrist(), one.scene_from_wrist());
+        let held = peg_expert::held_wall(&pose, giver);
+        let aside = |wall: &usize| peg_expert::outwards(&pose, *wall).y;
+        let taken = (0..Block::WALLS)
+            .filter(|wall| *wall != held)
+            .max_by(|a, b| aside(a).total_cmp(&aside(b)))
+            .expect("a block has walls");
+
+        // Both wrists are as far from the midline as each other.
+        let taking = peg_expert::grasp_in_air(&pose, taken, taker);
+        let way = Vector3::new(
+            PegBoard::peg(target).x - pose.translation.x,
+            -0.5 * (giver.translation.y + taking.translation.y),
+            peg_expert::way_over_pegs(&pose),
+        );
+        let offered = Pose::from(way) * pose;
+        HandOver {
+            object: block.body(),
+            offer: Pose::from(way) * giver,
+            take: peg_expert::grasp_in_air(&offered, taken, taker),
+            together: self.together,
+            hover: HOVER,
+            by_nearness: self.by_nearness,
+        }
+    }
+
+    /// Where PSM1 waits while PSM2 fetches the block: beside the target, clear of PSM2.
+    fn waiting(&self) -> Waypoint {
+        let [one, _] = &self.arms;
+        let mut wrist = *one.scene_from_wrist();
+        wrist.translation.x = PegBoard::peg(self.layout.target).x;
+        wrist.translation.y = WAITING;
+        wrist.translation.z = one.reach().max.z;
+        (wrist, JAW_OPEN)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::sim::world::BodyId;
+    use crate::tasks::bimanual::tests::{Watched, act_as_expert, count};
+
+    impl Watched for BiPegTransfer {
+        fn arms(&self) -> &[PsmArm; 2] {
+            &self.arms
+        }
+
+        fn object(&self) -> BodyId {
+            self.layout.block.body()
+        }
+    }
+
+    #[test]
+    fn the_expert_hands_the_block_over_in_the_air_and_leaves_it_on_its_peg() {
+        let (mut done, episodes) = (0, count(12, 500));
+        for seed in 0..episodes {
+            let (mut task, mut world) = BiPegTransfer::new(&Options::new()).unwrap();
+            Task::reset(&mut task, &mut world, &mut Rng::new(seed, 0));
+            let (mut handed_over, mut by_two) = (false, false);
+            for _ in 0..MAX_STEPS {
+                act_as_expert(&mut task, &mut world);
+                let block = world.pose(task.object());
+                let held = task.arms.each_ref().map(|arm| arm.holds(&world, task.object()));
+                by_two |= held == [false, true];
+                handed_over |=
+                    by_two && held == [true, true] && peg_expert::way_over_pegs(&block) < 1e-3;
+            }
+            let is_on = PegBoard::is_on(&world, task.layout.block, task.layout.target);
+            done += u64::from(handed_over && is_on);
+        }
+        assert!(done as f64 >= 0.95 * episodes as f64, "{done} of {episodes}");
+    }
+}
