@@ -252,6 +252,26 @@ fn block_and_gauze_weigh_what_their_materials_do() {
     assert!((0.98..1.02).contains(&(mass("gauze/model.urdf") / cotton)), "{cotton} kg");
 }
 
+#[test]
+fn the_readme_tells_materials_and_masses() {
+    let text = |path: &str| std::fs::read_to_string(assets().join(path)).expect("a text");
+    let (readme, materials) = (text("README.md"), text("materials.csv"));
+    let rows = readme.lines().filter(|line| line.starts_with("| `"));
+    let mut found = 0;
+    for row in rows {
+        let cells: Vec<_> = row.split('|').map(|cell| cell.trim().trim_matches('`')).collect();
+        let [_, model, material, density, friction, mass, _] = cells[..] else { continue };
+        let line = materials.lines().find(|line| line.split(',').next() == Some(material));
+        let columns: Vec<_> = line.expect("a material of the table").split(',').collect();
+        assert_eq!((columns[4], columns[5]), (density, friction), "{row}");
+        let link = &read(&format!("{model}/model.urdf")).links[0];
+        assert_eq!(link.visual[0].material.as_ref().expect("a material").name, material);
+        assert_eq!(format!("{:.2}", link.inertial.mass.value * 1e3), mass, "{row}");
+        found += 1;
+    }
+    assert_eq!(found, 4);
+}
+
 /// Every wall of the block is where its frame says, 1.6 mm thick.
 #[test]
 fn the_block_is_a_ring_of_three_walls_about_its_frames() {

@@ -120,8 +120,10 @@ fn jaws_in_the_right_place_lift_the_needle_in_every_mode() {
 fn the_table_of_offsets() {
     let (count, offsets): (u64, &[f64]) =
         if is_soak() { (40, &[0.0, 0.5, 1.0, 1.5, 2.0, 2.5, 3.0]) } else { (2, &[3.0]) };
-    let columns = offsets.iter().map(|off| format!(" {off} mm |")).collect::<String>();
-    println!("| mode | off along |{columns}\n|---|---|{}", "---|".repeat(offsets.len()));
+    let row = |cells: Vec<String>| format!("| {} |", cells.join(" | "));
+    let columns = offsets.iter().map(|off| format!("{off} mm"));
+    println!("{}", row(["mode".into(), "off along".into()].into_iter().chain(columns).collect()));
+    println!("{}", row(vec!["---".into(); 2 + offsets.len()]));
     for (name, mode) in MODES {
         for (axis, label) in AXES.iter().enumerate() {
             let cells = offsets.iter().map(|off| {
@@ -130,8 +132,11 @@ fn the_table_of_offsets() {
                 share(mode, vector, count)
             });
             let cells: Vec<_> = cells.collect();
-            let shown = cells.iter().map(|share| format!(" {:.0} % |", 100.0 * share));
-            println!("| `{name}` | {label} |{}", shown.collect::<String>());
+            let shown = cells.iter().map(|share| format!("{:.0} %", 100.0 * share));
+            println!(
+                "{}",
+                row([format!("`{name}`"), (*label).into()].into_iter().chain(shown).collect())
+            );
             if mode == GraspMode::Interact && axis == 0 {
                 assert!(cells[cells.len() - 1] < 0.5, "3 mm above: nothing to grip");
             }

@@ -124,7 +124,7 @@ fn a_refused_option_is_named_with_what_is_allowed() {
 fn tasks_are_listed_with_dimensions_and_options() {
     let tasks = json_lines(&run(&["tasks", "--json"]));
     let ids: Vec<_> = tasks.iter().map(|task| task["id"].as_str().unwrap()).collect();
-    assert!(ids.starts_with(&["NeedleReach-v0", "EcmReach-v0"]), "{ids:?}");
+    assert_eq!((ids.len(), ids[0]), (10, "NeedleReach-v0"), "{ids:?}");
     let expected = [
         "action_dim",
         "goal_dim",

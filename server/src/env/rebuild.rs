@@ -106,41 +106,45 @@ impl Identity {
 pub(crate) struct Rebuild {
     env: Env,
     recipe: Recipe,
-    /// Numbers of actions that were carried out.
-    done: usize,
+    /// Numbers of actions that were carried out; `None` before the episode has begun.
+    done: Option<usize>,
     failed: bool,
 }
 
 impl Rebuild {
-    /// Begins the episode of a recipe that [`Identity::check`] of `like` found to be good.
+    /// An episode that is still to begin, of a recipe that [`Identity::check`] of `like` found to be good.
     pub(crate) fn new(like: &Env, recipe: Recipe) -> Self {
         let mut env = like.clone();
         (env.seed, env.episode) = (recipe.seed, recipe.episode);
-        env.begin();
-        Self { env, recipe, done: 0, failed: false }
+        Self { env, recipe, done: None, failed: false }
     }
 
     /// Whether no step is left.
     pub(crate) fn is_done(&self) -> bool {
-        self.failed || self.done == self.recipe.actions.len()
+        self.failed || self.done == Some(self.recipe.actions.len())
     }
 
-    /// Carries out the next step, if one is left.
+    /// Begins, or carries out the next step, if one is left.
     pub(crate) fn step(&mut self) {
         if self.is_done() {
             return;
         }
-        let end = self.done + self.env.spec.action_dim();
+        let Some(done) = self.done else {
+            self.env.begin();
+            self.done = Some(0);
+            return;
+        };
+        let end = done + self.env.spec.action_dim();
         // A failure of the simulation is a state like another; steps after it are not.
         self.failed = self.env.needs_reset();
-        self.env.step(&self.recipe.actions[self.done..end]).ok();
-        self.done = end;
+        self.env.step(&self.recipe.actions[done..end]).ok();
+        self.done = Some(end);
     }
 
     /// The environment, if its state is the one that was exported.
     pub(crate) fn finish(self) -> Result<Env, Rejection> {
         let found = self.env.fingerprint();
-        if !self.failed && found == self.recipe.fingerprint {
+        if self.is_done() && !self.failed && found == self.recipe.fingerprint {
             return Ok(self.env);
         }
         Err(Rejection::new(

@@ -132,8 +132,8 @@ impl Registry {
         registry.register::<needle_reach::NeedleReach>();
         registry.register::<gauze_retrieve::GauzeRetrieve>();
         registry.register::<needle_pick::NeedlePick>();
-        registry.register::<peg_transfer::PegTransfer>();
         registry.register::<bi_peg_transfer::BiPegTransfer>();
+        registry.register::<peg_transfer::PegTransfer>();
         registry.register::<needle_regrasp::NeedleRegrasp>();
         registry.register::<ecm_reach::EcmReach>();
         registry.register::<mis_orient::MisOrient>();
