@@ -9,9 +9,9 @@
 //!   bends.
 //! - **Distance**: the shafts of two instruments, which nothing else keeps apart, wait where they
 //!   would come closer than they are thick.
-//! - **Quiescence**: while every free object sleeps, the jaws are as open as they should be, and the
-//!   instruments' swept volumes meet no object, no furniture (where they grip) and not each other,
-//!   the instruments move and no substep runs, since nothing else would change.
+//! - **Quiescence**: while every free object sleeps and the volumes that the instruments sweep, jaws
+//!   as they are and as they are to be, meet no object, no furniture (where they grip) and not each
+//!   other, the instruments move and no substep runs, since nothing else would change.
 
 use nalgebra::{Point3, Vector3};
 
@@ -84,7 +84,7 @@ pub fn travel<const N: usize>(
         instrument,
     });
     for now in 1..=substeps {
-        if world.at_rest() && ways.iter().all(|way| way.instrument.jaws_rest(world)) {
+        if world.at_rest() {
             for way in &mut ways {
                 way.push = Push::NONE;
             }
@@ -140,7 +140,7 @@ pub fn travel<const N: usize>(
 
 /// Whether no instrument meets anything on its way to the posture that `to` tells.
 fn have_free_ways(ways: &[Way], world: &World, to: impl Fn(&Way) -> Posture) -> bool {
-    let swept = |way: &Way| way.instrument.swept(&to(way));
+    let swept = |way: &Way| way.instrument.swept(world, &to(way));
     ways.iter().enumerate().all(|(index, way)| {
         let volume = swept(way);
         way.instrument.has_free_way(world, &volume)
