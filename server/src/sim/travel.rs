@@ -11,7 +11,8 @@
 //!   would come closer than they are thick.
 //! - **Quiescence**: while every free object sleeps, the jaws are as open as they should be, and the
 //!   instruments' swept volumes meet no object, no furniture (where they grip) and not each other,
-//!   the instruments move and no substep runs, since nothing else would change.
+//!   the instruments move and no substep runs, since nothing else would change. Where objects do move,
+//!   an instrument that none can meet in a substep takes no part in it.
 
 use nalgebra::{Point3, Vector3};
 
@@ -105,6 +106,12 @@ pub fn travel<const N: usize>(
         }
         let waits = approaching(&ways, now, substeps);
         for way in &mut ways {
+            let next = way.along(way.done + 1, now, substeps);
+            if !waits && way.instrument.is_apart(world, &next) {
+                way.done += 1;
+                way.instrument.pass(world, next);
+                continue;
+            }
             let (from, to) = if way.instrument.grips() {
                 (*way.instrument.posture(), way.along(way.done + 1, now, substeps))
             } else {
