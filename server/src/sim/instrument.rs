@@ -37,6 +37,9 @@ pub const CLEARANCE: f64 = 0.05e-3;
 /// and than the bulge of the path of a jaw tip that turns by 50°.
 const MARGIN: f64 = 1.5 * PREDICTION;
 
+/// Distance at which an object may come near in a substep, m: an object of 1.5 m/s moves by 6.3 mm.
+const REACH_OF_OBJECTS: f64 = 8e-3;
+
 /// Half extents of a finger, m: across (along the hinge), thickness, length. Source: the
 /// original's collision box, 1.4 mm × 10.2 mm × 1.8 mm.
 pub const FINGER_HALF: Vector3<f64> = Vector3::new(0.9e-3, 0.7e-3, 5.1e-3);
@@ -251,6 +254,28 @@ impl Instrument {
         self.tied.is_none() && !world.object_in(&swept.grown(MARGIN)) && !meets_furniture
     }
 
+    /// Whether gripping jaws that sweep a volume in a substep are out of reach of all objects and of
+    /// furniture.
+    pub(super) fn is_apart(&self, world: &World, swept: &Aabb) -> bool {
+        self.grips()
+            && self.tied.is_none()
+            && !world.object_in(&swept.grown(REACH_OF_OBJECTS))
+            && !world.furniture_in(swept)
+    }
+
+    /// Goes to `next` without taking part in the substep to come.
+    pub(super) fn pass(&mut self, world: &mut World, next: Posture) {
+        for body in self.bodies() {
+            world.withdraw(body);
+        }
+        self.place(next);
+    }
+
+    fn bodies(&self) -> [BodyId; 3] {
+        let [left, right] = self.finger_bodies();
+        [self.wrist, left, right]
+    }
+
     fn finger_bodies(&self) -> [BodyId; 2] {
         match &self.fingers {
             Fingers::Locked(fingers) => *fingers,
@@ -289,6 +314,9 @@ impl Instrument {
         let (now, then) = (self.posture.world_from_wrist, next.world_from_wrist);
         let velocity = (then.translation.vector - now.translation.vector) * SUBSTEPS_PER_SECOND;
         let rate = (then.rotation * now.rotation.inverse()).scaled_axis() * SUBSTEPS_PER_SECOND;
+        for body in self.bodies() {
+            world.bring_back(body);
+        }
         world.place(self.wrist, &now);
         for (index, side) in SIDES.into_iter().enumerate() {
             let pose = self.posture.world_from_finger(side);
@@ -304,6 +332,9 @@ impl Instrument {
 
     /// What the rest of the world did to it, and to what is tied to it, in the last substep.
     pub(super) fn push(&self, world: &World) -> Push {
+        if self.stale {
+            return Push::NONE;
+        }
         let [left, right] = self.finger_bodies();
         if let Some((object, _)) = self.tied {
             return world.push_on(&[self.wrist, left, right, object]);

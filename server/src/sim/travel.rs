@@ -11,7 +11,8 @@
 //!   would come closer than they are thick.
 //! - **Quiescence**: while every free object sleeps and the volumes that the instruments sweep, jaws
 //!   as they are and as they are to be, meet no object, no furniture (where they grip) and not each
-//!   other, the instruments move and no substep runs, since nothing else would change.
+//!   other, the instruments move and no substep runs, since nothing else would change. Where objects
+//!   do move, an instrument that none can meet in a substep takes no part in it.
 
 use nalgebra::{Point3, Vector3};
 
@@ -104,7 +105,20 @@ pub fn travel<const N: usize>(
             }
         }
         let waits = approaching(&ways, now, substeps);
-        for way in &mut ways {
+        let volumes = ways
+            .each_ref()
+            .map(|way| way.instrument.swept(world, &way.along(way.done + 1, now, substeps)));
+        for (index, way) in ways.iter_mut().enumerate() {
+            let volume = &volumes[index];
+            let meets_others = volumes
+                .iter()
+                .enumerate()
+                .any(|(other, each)| other != index && volume.meets(each));
+            if !waits && !meets_others && way.instrument.is_apart(world, volume) {
+                way.done += 1;
+                way.instrument.pass(world, way.along(way.done, now, substeps));
+                continue;
+            }
             let (from, to) = if way.instrument.grips() {
                 (*way.instrument.posture(), way.along(way.done + 1, now, substeps))
             } else {

@@ -286,6 +286,16 @@ impl World {
         self.bodies[body.0].set_position(frames::to_engine(world_from_body), false);
     }
 
+    /// Takes a body out of all that happens, until it is brought back.
+    pub fn withdraw(&mut self, body: BodyId) {
+        self.bodies[body.0].set_enabled(false);
+    }
+
+    /// Lets a body take part again that was withdrawn.
+    pub fn bring_back(&mut self, body: BodyId) {
+        self.bodies[body.0].set_enabled(true);
+    }
+
     /// Sets the friction coefficient of all parts of a body.
     pub fn set_friction(&mut self, body: BodyId, friction: f64) {
         for handle in self.bodies[body.0].colliders() {
