@@ -81,7 +81,7 @@ class Work:
                 self.say()
                 await_the_word()
             seeds = args.seed + np.arange(args.envs)
-            draws = first_draws(seeds, envs.single_action_space.shape[0])
+            draws = first_draws(seeds, infos["expert_action"].shape[1])
             self.since = time.perf_counter()
             while not told_to_end.is_set():
                 draws = draws * np.uint32(1664525) + np.uint32(1013904223)
@@ -109,7 +109,7 @@ class Work:
             arrays = [observations]
         arrays += [rewards, infos["expert_action"], terminations, truncations]
         for array in arrays:
-            self.checksum = zlib.crc32(np.ascontiguousarray(array), self.checksum)
+            self.checksum = zlib.crc32(array.tobytes(), self.checksum)
 
     def say(self, **more: Any) -> None:
         """Says what there is to say, and counts anew."""
