@@ -22,7 +22,7 @@ BIN := $(abspath $(VENV)/bin)
 WHEEL_VENV := .venv-wheels
 WHEEL_BIN := $(abspath $(WHEEL_VENV)/bin)
 # Python files under ruff, as seen from client-py/, whose pyproject.toml has the rules.
-PYTHON_CODE := . ../server/cli/src/demo ../server/cli/src/bench
+PYTHON_CODE := . ../server/cli/src/demo ../server/cli/src/bench ../server/cli/src/load
 PIP_INSTALL := -m pip install --quiet --disable-pip-version-check
 
 .PHONY: help
@@ -69,7 +69,7 @@ test-rust: ## Rust: unit, task suite, command, multi-process (reduced counts)
 
 .PHONY: test-python
 test-python: develop ## * Python with the newest Gymnasium: types, stubs, tests
-	cd client-py && $(BIN)/mypy && for worker in demo bench; do $(BIN)/mypy ../server/cli/src/$$worker/worker.py; done
+	cd client-py && $(BIN)/mypy && for worker in demo bench load; do $(BIN)/mypy ../server/cli/src/$$worker/worker.py; done
 	cd client-py && TROCAR_BINARY=$(TARGET)/debug/trocar $(BIN)/python -m pytest
 
 .PHONY: test-wheels

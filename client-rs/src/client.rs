@@ -141,7 +141,9 @@ impl Client {
         let request =
             ControlRequest::OpenSession { request: request.clone(), client: self.info.clone() };
         match self.call(&request)? {
-            ControlReply::Opened(info) => Session::new(Arc::clone(&self.link), info),
+            // Where the server has died meanwhile, its successor may have removed the services.
+            ControlReply::Opened(info) => Session::new(Arc::clone(&self.link), info)
+                .map_err(|error| self.link.check_server().err().unwrap_or(error)),
             other => Err(unexpected(&other)),
         }
     }

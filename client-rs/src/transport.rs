@@ -16,7 +16,7 @@ use iceoryx2::port::notifier::Notifier;
 use iceoryx2::prelude::{Alignment, EventId, ServiceName};
 use iceoryx2::response::Response;
 use trocar_proto::control::{self, ControlReply, ControlRequest, MAX_MESSAGE, SessionInfo};
-use trocar_proto::endpoint::{self, Membership, Node, ServerState, Transport};
+use trocar_proto::endpoint::{self, LEAST_WAIT, Membership, Node, ServerState, Transport};
 use trocar_proto::wire::{ALIGNMENT, Header};
 use trocar_proto::{Code, Rejection};
 
@@ -271,7 +271,7 @@ impl DataPort {
             if left.is_zero() {
                 return Ok(None);
             }
-            match self.reply_bell.timed_wait(|_| {}, left.min(SLICE)) {
+            match self.reply_bell.timed_wait(|_| {}, left.clamp(LEAST_WAIT, SLICE)) {
                 Ok(0) => self.link.check_server()?,
                 Ok(_) => {}
                 // The caller may want to act on the signal.

@@ -20,6 +20,7 @@ use std::io;
 use std::os::unix::fs::{DirBuilderExt, FileExt, MetadataExt, OpenOptionsExt};
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
+use std::time::Duration;
 
 use iceoryx2::config::Config;
 use iceoryx2::node::NodeBuilder;
@@ -39,6 +40,10 @@ pub type Node = iceoryx2::node::Node<Transport>;
 
 /// Most clients that one server serves at a time.
 pub const MAX_CLIENTS: usize = 512;
+
+/// Shortest wait at a bell: the transport counts in whole microseconds (`timeval`), and the kernel
+/// takes none of them for a wait without end (socket(7), `SO_RCVTIMEO`).
+pub const LEAST_WAIT: Duration = Duration::from_micros(1);
 
 /// The name of a server: 1 to 24 letters, digits, `-` or `_`.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Hash)]

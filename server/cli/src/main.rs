@@ -5,13 +5,16 @@
 //! | `serve.rs`, `status.rs`, `stop.rs`, `clean.rs` | a server's life |
 //! | `tasks.rs`, `rollout.rs`, `bench.rs` | what there is to learn, how well a policy does, how fast |
 //! | `demo.rs` | one server and three clients in two languages at once |
+//! | `load.rs` | many clients at once that are killed and stopped, each compared with a twin |
 //! | `policy.rs`, `process.rs`, `options.rs` | who acts; processes that are started; options as text |
+//! | `usage.rs` | what other processes use |
 //! | `output.rs`, `exit.rs` | JSON lines, tables; exit codes |
 
 mod bench;
 mod clean;
 mod demo;
 mod exit;
+mod load;
 mod options;
 mod output;
 mod policy;
@@ -21,6 +24,7 @@ mod serve;
 mod status;
 mod stop;
 mod tasks;
+mod usage;
 
 use std::process::ExitCode;
 
@@ -42,6 +46,7 @@ A first session:
   trocar serve --name lab                        a server that trainers share (Ctrl-C ends it)
   trocar rollout --task all --server lab         the same episodes, in that server
   trocar bench --quick                           how fast this machine is
+  trocar load --kill-every 2 --stop-every 5      what many clients, some of them killed, do to it
   trocar status --name lab --watch               who is connected, and how fast it runs
   trocar stop --name lab                         ends it
 
@@ -73,6 +78,11 @@ enum Command {
     Rollout(rollout::Rollout),
     /// Measure environment steps per second, in this process and through a server
     Bench(bench::Bench),
+    /// Load a server with many clients, kill and stop some, and compare every bit
+    Load(load::Load),
+    /// One client of the load
+    #[command(hide = true)]
+    LoadClient(load::worker::LoadClient),
     /// Show one server with a Rust and two Python clients at work (`make demo`)
     Demo(demo::Demo),
     /// One client of the demonstration
@@ -92,6 +102,8 @@ fn main() -> ExitCode {
         Command::Tasks(tasks) => tasks.run(),
         Command::Rollout(rollout) => rollout.run(),
         Command::Bench(bench) => bench.run(),
+        Command::Load(load) => load.run(),
+        Command::LoadClient(client) => client.run(),
         Command::Demo(demo) => demo.run(),
         Command::DemoClient(client) => client.run(),
     };

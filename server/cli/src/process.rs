@@ -2,13 +2,23 @@
 
 use std::io::{BufRead, BufReader, Write};
 use std::os::unix::process::CommandExt;
+use std::path::PathBuf;
 use std::process::{Child, Command, Stdio};
 use std::sync::mpsc::Sender;
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, bail};
+use rustix::process::{Pid, Signal, kill_process};
 use trocar_client::{Client, ConnectError};
 use trocar_proto::endpoint::{Endpoint, ServerName};
+
+/// Names the Python that has the package trocar.
+pub(crate) const PYTHON: &str = "TROCAR_PYTHON";
+
+/// The Python of Python clients.
+pub(crate) fn python() -> PathBuf {
+    std::env::var_os(PYTHON).map_or_else(|| "python3".into(), PathBuf::from)
+}
 
 /// A child process; killed when dropped.
 #[derive(Debug)]
@@ -23,7 +33,7 @@ impl Process {
         let child = command
             .stdin(Stdio::piped())
             .stdout(Stdio::piped())
-            // A group of its own: Ctrl-C is for the demonstration, which then ends the others.
+            // A group of its own: Ctrl-C is for this process, which then ends the others.
             .process_group(0)
             .spawn()
             .with_context(|| format!("{name}: {}", command.get_program().display()))?;
@@ -55,6 +65,18 @@ impl Process {
         told.with_context(|| format!("{} is gone", self.name))
     }
 
+    /// Says that there is nothing more to tell: ends its stdin.
+    pub(crate) fn end_input(&mut self) {
+        drop(self.child.stdin.take());
+    }
+
+    /// Sends a signal, unless it has ended and that is known.
+    pub(crate) fn signal(&self, signal: Signal) -> anyhow::Result<()> {
+        let pid = i32::try_from(self.pid()).ok().and_then(Pid::from_raw);
+        kill_process(pid.expect("a process has a number"), signal)
+            .with_context(|| format!("signal to {}", self.name))
+    }
+
     /// An error if it has ended.
     pub(crate) fn check(&mut self) -> anyhow::Result<()> {
         match self.child.try_wait()? {
@@ -64,7 +86,7 @@ impl Process {
     }
 
     /// Ends it at once.
-    fn kill(&mut self) {
+    pub(crate) fn kill(&mut self) {
         // Where it has ended already, there is nothing to kill.
         self.child.kill().ok();
         self.child.wait().ok();

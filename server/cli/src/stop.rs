@@ -1,7 +1,5 @@
 //! `trocar stop`: end a server and wait until it has ended.
 
-use std::fs;
-use std::path::Path;
 use std::thread;
 use std::time::{Duration, Instant};
 
@@ -10,6 +8,8 @@ use clap::Args;
 use rustix::process::{Pid, Signal, kill_process};
 use trocar_client::{CallError, Client, ConnectError};
 use trocar_proto::endpoint::{Endpoint, ServerName, ServerState};
+
+use crate::usage::holds_files_in;
 
 /// How long a server may take to end after it was asked, and again after a signal.
 const PATIENCE: Duration = Duration::from_secs(5);
@@ -119,12 +119,4 @@ impl Running<'_> {
         kill_process(process, signal)?;
         Ok(self.ends_within(PATIENCE))
     }
-}
-
-/// Whether a process has files of `folder` open.
-fn holds_files_in(pid: u32, folder: &Path) -> bool {
-    let Ok(entries) = fs::read_dir(format!("/proc/{pid}/fd")) else { return false };
-    entries
-        .flatten()
-        .any(|entry| fs::read_link(entry.path()).is_ok_and(|target| target.starts_with(folder)))
 }

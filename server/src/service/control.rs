@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 
 use iceoryx2::port::listener::ListenerWaitError;
 use trocar_proto::control::{ControlReply, ServerStatus};
-use trocar_proto::endpoint::{MAX_CLIENTS, Node, ServerLock};
+use trocar_proto::endpoint::{LEAST_WAIT, MAX_CLIENTS, Node, ServerLock};
 use trocar_proto::wire::Header;
 use trocar_proto::{Code, Rejection};
 
@@ -65,7 +65,7 @@ pub(super) fn run(
             host.sweep(&mut watch);
         }
         let patience = lease::INTERVAL.saturating_sub(looked.elapsed());
-        match bell.timed_wait(|_| {}, patience) {
+        match bell.timed_wait(|_| {}, patience.max(LEAST_WAIT)) {
             Ok(_) | Err(ListenerWaitError::InterruptSignal) => {}
             Err(error) => {
                 tracing::warn!(?error, "the control bell failed");

@@ -1,6 +1,5 @@
 //! Environments in a server, stepped by a Python client: one process for all measurements.
 
-use std::path::PathBuf;
 use std::process::Command;
 use std::sync::mpsc::{self, Receiver};
 use std::time::Duration;
@@ -10,10 +9,7 @@ use serde_json::{Value, json};
 
 use super::{Job, Measured, Stopwatch};
 use crate::options;
-use crate::process::{OwnServer, Process};
-
-/// Names the Python that has the package trocar.
-const PYTHON: &str = "TROCAR_PYTHON";
+use crate::process::{OwnServer, PYTHON, Process, python};
 
 /// How long it may be silent: the longest measurement, and some.
 const PATIENCE: Duration = Duration::from_mins(10);
@@ -31,7 +27,7 @@ pub(super) struct PythonClient {
 impl PythonClient {
     /// Starts it; fails where there is no Python, or none with the package.
     pub(super) fn start(server: &str) -> anyhow::Result<Self> {
-        let python = std::env::var_os(PYTHON).map_or_else(|| "python3".into(), PathBuf::from);
+        let python = python();
         let mut command = Command::new(&python);
         command.args(["-c", PROGRAM, server]);
         let mut process = Process::start("python", command)?;

@@ -1,0 +1,247 @@
+//! What the load has found.
+
+use hdrhistogram::Histogram;
+use serde::Serialize;
+
+use super::fleet::Slot;
+use crate::output;
+
+/// How many problems of a kind are told in words.
+const TOLD: usize = 5;
+
+/// What happened so far, over all clients.
+#[derive(Debug)]
+pub(super) struct Tally {
+    /// Of messages, ns.
+    pub(super) latencies: Histogram<u64>,
+    pub(super) killed: u64,
+    pub(super) reclaimed: u64,
+    pub(super) stopped: u64,
+    pub(super) restarts: u64,
+    pub(super) errors: Problems,
+    pub(super) mismatches: Problems,
+    pub(super) leaked: Problems,
+}
+
+impl Tally {
+    pub(super) fn new() -> anyhow::Result<Self> {
+        Ok(Self {
+            latencies: Histogram::new(super::DIGITS)?,
+            killed: 0,
+            reclaimed: 0,
+            stopped: 0,
+            restarts: 0,
+            errors: Problems::default(),
+            mismatches: Problems::default(),
+            leaked: Problems::default(),
+        })
+    }
+}
+
+/// How often something went wrong, and what the first ones were.
+#[derive(Debug, Default)]
+pub(super) struct Problems {
+    count: u64,
+    first: Vec<String>,
+}
+
+impl Problems {
+    pub(super) fn add(&mut self, what: impl Into<String>) {
+        self.count += 1;
+        if self.first.len() < TOLD {
+            self.first.push(what.into());
+        }
+    }
+
+    fn tell(&self, kind: &str) {
+        for what in &self.first {
+            eprintln!("{kind}: {what}");
+        }
+        let more = self.count - self.first.len() as u64;
+        if more > 0 {
+            eprintln!("{kind}: … and {more} more");
+        }
+    }
+}
+
+/// What the server used.
+#[derive(Debug, Default)]
+pub(super) struct ServerUse {
+    /// CPU time of all of its runs, s.
+    pub(super) cpu_seconds: f64,
+    /// Resident memory of the present run by time: s, bytes.
+    pub(super) memory: Vec<(f64, f64)>,
+}
+
+/// The line for scripts; design §7 names the keys.
+#[derive(Debug, Serialize)]
+pub(super) struct Summary {
+    clients: usize,
+    envs: u32,
+    steps: u64,
+    steps_per_second: f64,
+    p50_us: f64,
+    p99_us: f64,
+    jain: f64,
+    killed: u64,
+    reclaimed: u64,
+    stopped: u64,
+    restarts: u64,
+    errors: u64,
+    mismatches: u64,
+    leaked: u64,
+    server_memory_bytes: Option<u64>,
+}
+
+impl Summary {
+    /// What a load of `seconds` has found, `envs` being the environments of each client.
+    pub(super) fn new(
+        envs: u32,
+        slots: &[Slot],
+        tally: &Tally,
+        server: &ServerUse,
+        seconds: f64,
+    ) -> Self {
+        let steps = slots.iter().map(|slot| slot.steps).sum();
+        let micros = |quantile| tally.latencies.value_at_quantile(quantile) as f64 / 1000.0;
+        let rates: Vec<f64> = slots.iter().filter_map(Slot::rate).collect();
+        Self {
+            clients: slots.len(),
+            envs,
+            steps,
+            steps_per_second: steps as f64 / seconds,
+            p50_us: micros(0.5),
+            p99_us: micros(0.99),
+            jain: jain(&rates),
+            killed: tally.killed,
+            reclaimed: tally.reclaimed,
+            stopped: tally.stopped,
+            restarts: tally.restarts,
+            errors: tally.errors.count,
+            mismatches: tally.mismatches.count,
+            leaked: tally.leaked.count,
+            server_memory_bytes: server.memory.last().map(|(_, bytes)| *bytes as u64),
+        }
+    }
+
+    /// What makes the load a failure, in words.
+    pub(super) fn failure(&self) -> Option<String> {
+        let Self { errors, mismatches, leaked, .. } = self;
+        let unclaimed = self.killed - self.reclaimed;
+        (errors + mismatches + leaked + unclaimed > 0).then(|| {
+            format!(
+                "{errors} errors, {mismatches} mismatches, {leaked} leaks, {unclaimed} killed \
+                 clients whose sessions stay"
+            )
+        })
+    }
+
+    /// A table for people, and the first problems in words.
+    pub(super) fn show(&self, slots: &[Slot], tally: &Tally, server: &ServerUse, seconds: f64) {
+        let header = ["client", "language", "steps", "steps/s", "CPU"];
+        let header = header.into_iter().chain(["killed", "stopped", "sessions"]);
+        let mut table = output::table(&header.collect::<Vec<_>>(), 2);
+        for (index, slot) in slots.iter().enumerate() {
+            table.add_row([
+                (index + 1).to_string(),
+                slot.language.name().into(),
+                slot.steps.to_string(),
+                slot.rate().map_or("–".into(), |rate| format!("{rate:.0}")),
+                share(slot.cpu_seconds(), seconds),
+                slot.killed.to_string(),
+                slot.stopped.to_string(),
+                slot.sessions.to_string(),
+            ]);
+        }
+        table.add_row([
+            "all".into(),
+            String::new(),
+            self.steps.to_string(),
+            format!("{:.0}", self.steps_per_second),
+            share(slots.iter().map(Slot::cpu_seconds).sum(), seconds),
+            self.killed.to_string(),
+            self.stopped.to_string(),
+            slots.iter().map(|slot| slot.sessions).sum::<u64>().to_string(),
+        ]);
+        eprintln!("{table}");
+        eprintln!(
+            "latency of a message: p50 {:.0} µs, p99 {:.0} µs; fairness (Jain) {:.3}",
+            self.p50_us, self.p99_us, self.jain
+        );
+        let memory = self.server_memory_bytes.map_or("–".into(), output::mebibytes);
+        let slope = slope(&server.memory).map_or("–".into(), |slope| {
+            // Per hour, in the unit of the other figure.
+            format!("{:+.1} MiB/h", slope * 3600.0 / f64::from(1 << 20))
+        });
+        eprintln!(
+            "server: CPU {}, memory {memory}, changing by {slope}; {} restarts",
+            share(server.cpu_seconds, seconds),
+            self.restarts
+        );
+        eprintln!(
+            "{} clients killed, the sessions of {} reclaimed; {} stopped and let go on",
+            self.killed, self.reclaimed, self.stopped
+        );
+        eprintln!(
+            "{} errors, {} mismatches with the in-process twins, {} leaks",
+            self.errors, self.mismatches, self.leaked
+        );
+        tally.errors.tell("error");
+        tally.mismatches.tell("mismatch");
+        tally.leaked.tell("leak");
+    }
+}
+
+/// CPU time as a share of one core.
+fn share(cpu_seconds: f64, seconds: f64) -> String {
+    format!("{:.0} %", 100.0 * cpu_seconds / seconds)
+}
+
+/// Jain's index: 1 where all rates are equal, 1/n where one has everything.
+fn jain(rates: &[f64]) -> f64 {
+    let squares: f64 = rates.iter().map(|rate| rate * rate).sum();
+    let sum: f64 = rates.iter().sum();
+    if squares > 0.0 { sum * sum / (rates.len() as f64 * squares) } else { 0.0 }
+}
+
+/// The slope of the straight line through the later half of the points, by least squares: at first,
+/// everything grows.
+fn slope(points: &[(f64, f64)]) -> Option<f64> {
+    let points = &points[points.len() / 2..];
+    let count = points.len() as f64;
+    let mean = |of: fn(&(f64, f64)) -> f64| points.iter().map(of).sum::<f64>() / count;
+    let (x, y) = (mean(|point| point.0), mean(|point| point.1));
+    let spread: f64 = points.iter().map(|point| (point.0 - x).powi(2)).sum();
+    let rise: f64 = points.iter().map(|point| (point.0 - x) * (point.1 - y)).sum();
+    (spread > 0.0).then(|| rise / spread)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn fairness_is_one_for_equals_and_a_share_for_one_alone() {
+        assert_eq!(jain(&[3.0, 3.0, 3.0]), 1.0);
+        assert_eq!(jain(&[5.0, 0.0, 0.0, 0.0]), 0.25);
+        assert_eq!(jain(&[]), 0.0);
+    }
+
+    #[test]
+    fn growth_at_the_beginning_is_no_slope() {
+        let points = [(0.0, 0.0), (1.0, 50.0), (2.0, 100.0), (3.0, 100.0), (4.0, 100.0)];
+        assert_eq!(slope(&points), Some(0.0));
+        assert_eq!(slope(&[(0.0, 1.0), (1.0, 3.0), (2.0, 5.0), (3.0, 7.0)]), Some(2.0));
+        assert_eq!(slope(&points[..1]), None);
+        assert_eq!(slope(&[]), None);
+    }
+
+    #[test]
+    fn only_the_first_problems_are_kept() {
+        let mut problems = Problems::default();
+        for number in 0..10 {
+            problems.add(number.to_string());
+        }
+        assert_eq!((problems.count, problems.first.len()), (10, TOLD));
+    }
+}
