@@ -274,7 +274,10 @@ impl World {
             self.colliders.insert_with_parent(collider, body, &mut self.bodies);
         }
         match motion {
-            Motion::Free { .. } => self.free.push(body),
+            Motion::Free { .. } => {
+                self.bodies[body].activation_mut().time_until_sleep = SLEEP_AFTER;
+                self.free.push(body);
+            }
             Motion::Fixed => self.fixed.push(body),
             Motion::Driven => {}
         }
@@ -563,6 +566,9 @@ const RECOVERY_SPEED: f64 = 0.5;
 /// Distance from which on contacts are looked at, m: in a substep a tip moves by 0.5 mm, and the far
 /// edge of what lands on its near one by some millimetres.
 pub(super) const PREDICTION: f64 = 1e-3;
+
+/// Time after which an object that hardly moves falls asleep, s: what was dropped costs nothing soon.
+const SLEEP_AFTER: f32 = 0.25;
 
 /// Size of what is simulated, m: the engine's tolerances are fractions of it.
 const LENGTH_UNIT: f64 = 0.01;
