@@ -14,11 +14,9 @@ use trocar_server::tasks::Registry;
 /// the engine would clamp it.
 const FASTEST: f64 = 1.5;
 
-/// Deepest overlap of an object with anything at the end of a step, m: half of the thinnest thing in
-/// the scene, beyond which it would be through: the radius of a needle's wire, or of a peg.
-fn deepest(id: &str) -> f64 {
-    if id.starts_with("Needle") { 0.5e-3 } else { 1e-3 }
-}
+/// Deepest overlap of an object with anything at the end of a step, m. What overlaps by half of both
+/// is on its way through: 1.2 mm for the thinnest pair, a wire of 1 mm and a finger of 1.4 mm.
+const DEEPEST: f64 = 1e-3;
 
 /// Environment steps in which objects may leave the theatre: at most one in so many.
 const STEPS_PER_LOSS: u64 = 10_000;
@@ -106,7 +104,7 @@ fn nothing_explodes_under_adversarial_actions() {
         eprintln!("{id} {:?}: {record:?}", options.text("action"));
         let fine = record.failures == 0
             && record.fastest < FASTEST
-            && record.deepest < deepest(id)
+            && record.deepest < DEEPEST
             && record.losses <= 1 + record.steps / STEPS_PER_LOSS;
         if !fine {
             bad.push(format!("{id} {options:?}: {record:?}"));

@@ -31,6 +31,9 @@ const YIELD_OVERLAP: f64 = 0.05e-3;
 /// close swing their tips down by 0.6 mm, onto what may lie under them.
 const ASIDE: f64 = 0.05e-3;
 
+/// Vertical part of a direction that counts as level.
+const LEVEL: f64 = 0.1;
+
 /// What counts as the way covered by an instrument that is beside its path at the end: not all of it.
 const BESIDE: f64 = 1.0 - f64::EPSILON;
 
@@ -135,7 +138,9 @@ pub fn travel<const N: usize>(
             };
             let overlap = &way.push.overlap;
             let stays_on = way.done >= done && overlap.depth > YIELD_OVERLAP;
-            if way.instrument.grips() && stays_on {
+            // Locked jaws that gave way upwards or downwards would press what lies under them.
+            let is_level = overlap.into.z.abs() < LEVEL;
+            if stays_on && (way.instrument.grips() || is_level) {
                 way.aside -= overlap.into * ASIDE;
             }
             let next = way.along(way.done, now, substeps);
