@@ -122,11 +122,7 @@ pub fn travel<const N: usize>(
                 way.instrument.pass(world, way.along(way.done, now, substeps));
                 continue;
             }
-            let (from, to) = if way.instrument.grips() {
-                (*way.instrument.posture(), way.along(way.done + 1, now, substeps))
-            } else {
-                (way.start, way.end)
-            };
+            let (from, to) = (*way.instrument.posture(), way.along(way.done + 1, now, substeps));
             let hold =
                 if way.instrument.grips() { HOLD_OVERLAP_GRIPPING } else { HOLD_OVERLAP_LOCKED };
             let done = way.done;
