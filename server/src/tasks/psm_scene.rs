@@ -34,6 +34,8 @@ use crate::sim::random::Rng;
 use crate::sim::travel::travel;
 use crate::sim::world::{BodyId, SUBSTEPS_PER_SECOND, World};
 
+mod action;
+
 /// Simulated time of one step, s.
 pub const SECONDS_PER_STEP: f64 = 0.2;
 
@@ -332,78 +334,6 @@ impl PsmArm {
         self.scene_from_wrist = self.pose_at(&self.joints);
     }
 
-    /// The action that brings the sensed wrist to `target` or, where one step cannot, towards it.
-    pub fn encode(&self, target: &Pose, jaw: f64, action: &mut [f32]) {
-        let now = &self.scene_from_wrist;
-        let moved = target.translation.vector - now.translation.vector;
-        let turned = (target.rotation * now.rotation.inverse()).scaled_axis();
-        let opening = 2.0 * (jaw - JAW_CLOSED) / (JAW_OPEN - JAW_CLOSED) - 1.0;
-        let numbers = match self.mode {
-            ActionMode::Paper => {
-                let d = moved / STEP_LENGTH;
-                let turn = match self.paper.turn {
-                    Turn::Nothing => 0.0,
-                    Turn::Vertical => turned.z / STEP_ANGLE,
-                    Turn::Pitch => {
-                        let pitch = |pose: &Pose| pitch_of(self.index, &pose.rotation);
-                        (pitch(target) - pitch(now)) / STEP_PITCH
-                    }
-                };
-                [d.x, d.y, d.z, turn, opening, 0.0, 0.0]
-            }
-            ActionMode::Cartesian => {
-                let (d, r) = (moved / STEP_LENGTH, turned / STEP_ANGLE);
-                [d.x, d.y, d.z, r.x, r.y, r.z, opening]
-            }
-            ActionMode::CartesianAbs => {
-                let half = (self.reach.max - self.reach.min) * 0.5;
-                let p = (target.translation.vector - self.reach.centre()).component_div(&half);
-                let r = (target.rotation * down().inverse()).scaled_axis() / PI;
-                [p.x, p.y, p.z, r.x, r.y, r.z, opening]
-            }
-            ActionMode::Joint => {
-                let joints = self.solve(target).unwrap_or(self.joints);
-                let mut numbers = [opening; 7];
-                for joint in 0..6 {
-                    numbers[joint] = (joints[joint] - self.joints[joint]) / JOINT_STEPS[joint];
-                }
-                // Clipped one by one, they would lead elsewhere.
-                let largest = numbers[..6].iter().fold(1.0, |most: f64, n| most.max(n.abs()));
-                for number in &mut numbers[..6] {
-                    *number /= largest;
-                }
-                numbers
-            }
-        };
-        for (number, value) in action.iter_mut().zip(numbers) {
-            *number = value as f32;
-        }
-    }
-
-    /// The elements of an action.
-    pub fn action_elements(&self) -> Vec<Element> {
-        let turn = match self.paper.turn {
-            Turn::Nothing => "ignored (turn)",
-            Turn::Vertical => "turn about the vertical",
-            Turn::Pitch => "pitch",
-        };
-        let jaw = if self.paper.jaw { "jaw" } else { "ignored (jaw)" };
-        let (frame, mut names) = match self.mode {
-            ActionMode::Paper => ("scene", vec!["dx", "dy", "dz", turn]),
-            ActionMode::Cartesian => {
-                ("scene", vec!["dx", "dy", "dz", "rotation x", "rotation y", "rotation z"])
-            }
-            ActionMode::CartesianAbs => {
-                ("scene", vec!["x", "y", "z", "rotation x", "rotation y", "rotation z"])
-            }
-            ActionMode::Joint => {
-                ("joint", vec!["yaw", "pitch", "insertion", "roll", "wrist pitch", "wrist yaw"])
-            }
-        };
-        names.push(jaw);
-        names.iter().map(|name| options::action_element(name, frame)).collect()
-    }
-
     /// Number of values that [`Self::observe`] writes.
     pub const OBSERVED: usize = 7;
 
@@ -427,52 +357,6 @@ impl PsmArm {
         for (slot, number) in observation.iter_mut().zip(numbers) {
             *slot = *number as f32;
         }
-    }
-
-    /// Where an action asks the wrist to be, and the jaw angle that it asks for.
-    fn decode(&self, action: &[f32]) -> (Pose, f64) {
-        let now = &self.scene_from_wrist;
-        let number = |index: usize| f64::from(action[index]);
-        let vector =
-            |first: usize| Vector3::new(number(first), number(first + 1), number(first + 2));
-        let graded = JAW_CLOSED + (JAW_OPEN - JAW_CLOSED) * 0.5 * (number(action.len() - 1) + 1.0);
-        let (target, jaw) = match self.mode {
-            ActionMode::Paper => {
-                let turn = match self.paper.turn {
-                    Turn::Vertical => number(3) * STEP_ANGLE,
-                    Turn::Nothing | Turn::Pitch => 0.0,
-                };
-                let mut target = moved(now, vector(0) * STEP_LENGTH, Vector3::z() * turn);
-                if self.paper.turn == Turn::Pitch {
-                    let pitch = pitch_of(self.index, &now.rotation) + number(3) * STEP_PITCH;
-                    target.rotation = pitched(self.index, pitch.clamp(-PITCH_LIMIT, PITCH_LIMIT));
-                }
-                let jaw = if number(4) < 0.0 { JAW_CLOSED } else { JAW_OPEN };
-                (target, jaw)
-            }
-            ActionMode::Cartesian => {
-                (moved(now, vector(0) * STEP_LENGTH, vector(3) * STEP_ANGLE), graded)
-            }
-            ActionMode::CartesianAbs => {
-                let half = (self.reach.max - self.reach.min) * 0.5;
-                let position = self.reach.centre() + vector(0).component_mul(&half);
-                let rotation = UnitQuaternion::from_scaled_axis(vector(3) * PI) * down();
-                let step = position - now.translation.vector;
-                let step = step / (step.amax() / STEP_LENGTH).max(1.0);
-                let turn = (rotation * now.rotation.inverse()).scaled_axis();
-                let turn = turn / (turn.norm() / STEP_ANGLE).max(1.0);
-                (moved(now, step, turn), graded)
-            }
-            ActionMode::Joint => {
-                let joints = std::array::from_fn(|joint| {
-                    let limit = &self.kinematics.limits()[joint];
-                    let wanted = self.joints[joint] + number(joint) * JOINT_STEPS[joint];
-                    wanted.clamp(limit.min, limit.max)
-                });
-                (self.pose_at(&joints), graded)
-            }
-        };
-        (target, if self.paper.jaw { jaw } else { JAW_CLOSED })
     }
 
     /// The pose nearest to `target` in which wrist and tip are where they may be.
@@ -581,12 +465,6 @@ fn substeps() -> u32 {
     (SECONDS_PER_STEP * SUBSTEPS_PER_SECOND).round() as u32
 }
 
-/// `now` moved by `step` (m) and turned by the rotation vector `turn` (rad), both in the scene.
-fn moved(now: &Pose, step: Vector3<f64>, turn: Vector3<f64>) -> Pose {
-    let rotation = UnitQuaternion::from_scaled_axis(turn) * now.rotation;
-    Pose::from_parts((now.translation.vector + step).into(), rotation)
-}
-
 /// The wrist at `position`, jaws straight down, turned as every episode begins.
 pub(super) fn straight_down(position: [f64; 3]) -> Pose {
     Pose::from_parts(Vector3::from(position).into(), down())
@@ -636,6 +514,7 @@ fn wrist_from_link() -> UnitQuaternion<f64> {
 
 #[cfg(test)]
 mod tests {
+    use super::action::moved;
     use super::*;
     use crate::sim::world::Solver;
     use crate::tasks::tray::pad;
