@@ -46,6 +46,8 @@ struct Record {
     failures: u64,
     losses: u64,
     fastest: f64,
+    /// Seed of the fastest.
+    fastest_at: u64,
     deepest: f64,
     /// Seed and step of the deepest overlap.
     deepest_at: (u64, u32),
@@ -89,8 +91,8 @@ fn attack(id: &str, options: &Options, steps: u64) -> Record {
         // What fell off the table is counted, not how fast it came down to the floor.
         if env.has_lost_objects() {
             record.losses += 1;
-        } else {
-            record.fastest = record.fastest.max(env.world().fastest());
+        } else if env.world().fastest() > record.fastest {
+            (record.fastest, record.fastest_at) = (env.world().fastest(), seed);
         }
     }
     record
