@@ -25,6 +25,9 @@ WHEEL_BIN := $(abspath $(WHEEL_VENV)/bin)
 WHEEL_TESTS := "not stubs and not Pick and not Peg and not Regrasp and not Gauze"
 # Python files under ruff, as seen from client-py/, whose pyproject.toml has the rules.
 PYTHON_CODE := . ../server/cli/src/demo ../server/cli/src/bench ../server/cli/src/load
+# What people train with, each with the Gymnasium that it needs.
+RL_BIN := $(abspath .venv-rl/bin)
+RLLIB_BIN := $(abspath .venv-rllib/bin)
 PIP_INSTALL := -m pip install --quiet --disable-pip-version-check
 
 .PHONY: help
@@ -118,4 +121,10 @@ develop: $(VENV)/ready
 $(VENV)/ready: client-py/requirements-dev.lock
 	$(PYTHON) -m venv --clear $(VENV)
 	$(VENV)/bin/python $(PIP_INSTALL) --require-hashes -r $<
+	touch $@
+
+# Without dependencies: the lock files have all of them, less what torch needs on a GPU only.
+.venv-%/ready: client-py/requirements-%.lock
+	$(PYTHON) -m venv --clear $(@D)
+	$(@D)/bin/python $(PIP_INSTALL) --require-hashes --no-deps -r $<
 	touch $@
