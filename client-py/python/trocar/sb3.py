@@ -44,10 +44,10 @@ def make_vec(
     Raises:
         ValueError: An option is unknown or not allowed; the message lists what is.
     """
-    envs = gym.make_vec(task, num_envs, autoreset_mode=AutoresetMode.SAME_STEP, **options)
-    if not isinstance(envs, TrocarVectorEnv):
-        envs.close()
+    if not task.startswith(f"{NAMESPACE}/"):
         raise refuse(InvalidOption, "task", task, f"allowed are the ids {NAMESPACE}/…")
+    envs = gym.make_vec(task, num_envs, autoreset_mode=AutoresetMode.SAME_STEP, **options)
+    assert isinstance(envs, TrocarVectorEnv)
     return TrocarVecEnv(envs, seed=seed)
 
 
