@@ -3,8 +3,8 @@
 >>> from trocar.sb3 import make_vec
 >>> envs = make_vec("trocar/NeedleReach-v0", num_envs=8, seed=0)
 >>> observations = envs.reset()
->>> envs.env_method("compute_reward", observations["achieved_goal"], observations["desired_goal"], {},
-...                 indices=[0])[0].shape
+>>> goals = observations["achieved_goal"], observations["desired_goal"]
+>>> envs.env_method("compute_reward", *goals, {}, indices=[0])[0].shape
 (8,)
 >>> envs.close()
 """
@@ -18,7 +18,7 @@ import gymnasium as gym
 import numpy as np
 from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
-from stable_baselines3.common.vec_env.base_vec_env import VecEnv, VecEnvObs, VecEnvStepReturn
+from stable_baselines3.common.vec_env.base_vec_env import VecEnv, VecEnvStepReturn
 
 from trocar._goal import GoalFunctions
 from trocar.errors import InvalidEnvIds, InvalidOption, InvalidRequest, refuse
@@ -81,7 +81,7 @@ class TrocarVecEnv(VecEnv):
         if seed is not None:
             self.seed(seed)
 
-    def reset(self) -> VecEnvObs:
+    def reset(self) -> Any:
         """Begins new episodes, of the seeds set by :meth:`seed`; a step under way is dropped."""
         if any(self._options):
             raise refuse(InvalidOption, "options", self._options, "no reset options are known")
@@ -163,7 +163,8 @@ class TrocarVecEnv(VecEnv):
 
     def get_images(self) -> Sequence[NDArray[np.uint8] | None]:
         """A picture of each environment, where they were made with a render mode."""
-        images = self.envs.render()
+        # The render modes that there are say what it returns; without one, that is nothing.
+        images: Any = self.envs.render()  # type: ignore[func-returns-value]
         return [None] * self.num_envs if images is None else list(images)
 
     def close(self) -> None:

@@ -15,7 +15,6 @@ from stable_baselines3.common.evaluation import evaluate_policy
 from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import (
     DummyVecEnv,
-    SubprocVecEnv,
     VecEnv,
     VecMonitor,
     VecNormalize,
@@ -80,9 +79,11 @@ def test_it_is_what_sb3_makes_of_single_environments(task: str, server: str) -> 
     theirs.close()
 
 
-def test_the_terminal_observation_is_the_last_state_of_the_episode(envs: TrocarVecEnv) -> None:
+def test_the_terminal_observation_is_the_last_state_of_the_episode(
+    envs: TrocarVecEnv, server: str
+) -> None:
     envs.reset()
-    single = trocar.TrocarEnv("NeedleReach-v0", server=envs.get_attr("_connection")[0]._server)
+    single = trocar.TrocarEnv("NeedleReach-v0", server=server)
     single.reset(seed=6)
     for step in range(STEPS):
         actions = actions_of(envs, step)
@@ -210,7 +211,9 @@ def test_hindsight_rewards_are_those_of_the_server(server: str) -> None:
     assert 0 < (rewards == 0).sum() < 1000
     # What the buffer stored unchanged got its reward from the server.
     stored = buffer.rewards[: buffer.pos]
-    goals = (buffer.next_observations[name][: buffer.pos] for name in ("achieved_goal", "desired_goal"))
+    goals = (
+        buffer.next_observations[name][: buffer.pos] for name in ("achieved_goal", "desired_goal")
+    )
     assert (stored == envs.envs.compute_reward(*goals)).all()
     # Time limits are no ends: values go on behind them.
     assert buffer.dones[STEPS - 1].all()
@@ -263,7 +266,8 @@ from stable_baselines3.common.vec_env import SubprocVecEnv
 from trocar.sb3 import make_vec
 
 if __name__ == "__main__":
-    theirs = make_vec_env("trocar/NeedleReach-v0", 3, seed=5, vec_env_cls=SubprocVecEnv, env_kwargs={"render_mode": None})
+    options = {"vec_env_cls": SubprocVecEnv, "env_kwargs": {"render_mode": None}}
+    theirs = make_vec_env("trocar/NeedleReach-v0", 3, seed=5, **options)
     first = theirs.reset()
     sessions = len(trocar.status()["sessions"])
     ours = make_vec("trocar/NeedleReach-v0", 3, seed=5)
