@@ -90,7 +90,7 @@ impl Client {
                         Ok(client) => return Ok(client),
                     }
                 }
-                ServerState::Closed { .. } | ServerState::Absent => {
+                ServerState::Ending { .. } | ServerState::Closed { .. } | ServerState::Absent => {
                     return Err(ConnectError::NoServer { name });
                 }
             }

@@ -5,7 +5,7 @@
 //! a session that finds idle threads uses them too. None of this changes any result.
 
 use std::collections::VecDeque;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread::Thread;
 use std::time::{Duration, Instant};
@@ -26,11 +26,20 @@ pub(crate) trait Divisible: Send + Sized {
     fn run(self);
 }
 
-/// The threads that step environments, and who may use them.
-#[derive(Debug)]
+/// The threads that step environments, and how many of them its user may have at a time. Clones
+/// have that share together.
+#[derive(Debug, Clone)]
 pub(crate) struct Scheduler {
+    threads: Arc<Threads>,
+    share: Arc<Share>,
+}
+
+#[derive(Debug)]
+struct Threads {
     pool: rayon::ThreadPool,
     turns: Mutex<Turns>,
+    /// Time for which threads were taken, all together, ns.
+    busy: AtomicU64,
 }
 
 #[derive(Debug)]
@@ -39,9 +48,27 @@ struct Turns {
     waiting: VecDeque<Arc<Waiter>>,
 }
 
+/// How many threads somebody may have, and has. Read and written under the lock of [`Turns`].
+#[derive(Debug)]
+struct Share {
+    limit: usize,
+    taken: AtomicUsize,
+}
+
+impl Share {
+    fn new(limit: usize) -> Arc<Self> {
+        Arc::new(Self { limit, taken: AtomicUsize::new(0) })
+    }
+
+    fn left(&self) -> usize {
+        self.limit.saturating_sub(self.taken.load(Ordering::Relaxed))
+    }
+}
+
 #[derive(Debug)]
 struct Waiter {
     thread: Thread,
+    share: Arc<Share>,
     called: AtomicBool,
 }
 
@@ -53,7 +80,18 @@ impl Scheduler {
             .thread_name(|index| format!("trocar-step-{index}"))
             .build()?;
         let turns = Mutex::new(Turns { free: threads, waiting: VecDeque::new() });
-        Ok(Self { pool, turns })
+        let threads = Threads { pool, turns, busy: AtomicU64::new(0) };
+        Ok(Self { threads: Arc::new(threads), share: Share::new(usize::MAX) })
+    }
+
+    /// The same threads, of which this one and its clones may have at most `limit` at a time.
+    pub(crate) fn limited(&self, limit: usize) -> Self {
+        Self { threads: Arc::clone(&self.threads), share: Share::new(limit) }
+    }
+
+    /// Time for which threads were taken, all together.
+    pub(crate) fn busy(&self) -> Duration {
+        Duration::from_nanos(self.threads.busy.load(Ordering::Relaxed))
     }
 
     /// Does `work`, turn by turn. `cost` is the time one piece is expected to take; it is updated
@@ -73,9 +111,11 @@ impl Scheduler {
             if threads == 1 {
                 now.run();
             } else {
-                self.pool.install(|| run_on(now, threads));
+                self.threads.pool.install(|| run_on(now, threads));
             }
-            let measured = start.elapsed() * threads as u32 / count as u32;
+            let taken = start.elapsed() * threads as u32;
+            self.threads.busy.fetch_add(taken.as_nanos() as u64, Ordering::Relaxed);
+            let measured = taken / count as u32;
             *cost = (*cost + measured) / 2;
         }
     }
@@ -88,9 +128,14 @@ impl Scheduler {
     /// Waits for a thread, then takes up to `most` that are idle.
     fn acquire(&self, most: usize) -> Turn<'_> {
         let mut turns = self.lock();
-        if turns.free == 0 || !turns.waiting.is_empty() {
-            let waiter =
-                Arc::new(Waiter { thread: std::thread::current(), called: AtomicBool::new(false) });
+        // Whoever waits while threads are free has taken all of its share.
+        let threads = turns.free.min(most).min(self.share.left());
+        if threads == 0 {
+            let waiter = Arc::new(Waiter {
+                thread: std::thread::current(),
+                share: Arc::clone(&self.share),
+                called: AtomicBool::new(false),
+            });
             turns.waiting.push_back(Arc::clone(&waiter));
             drop(turns);
             while !waiter.called.load(Ordering::Acquire) {
@@ -98,26 +143,29 @@ impl Scheduler {
             }
             return Turn { scheduler: self, threads: 1 };
         }
-        let threads = turns.free.min(most);
         turns.free -= threads;
+        self.share.taken.fetch_add(threads, Ordering::Relaxed);
         Turn { scheduler: self, threads }
     }
 
     fn release(&self, count: usize) {
         let mut turns = self.lock();
-        for _ in 0..count {
-            if let Some(waiter) = turns.waiting.pop_front() {
-                waiter.called.store(true, Ordering::Release);
-                waiter.thread.unpark();
-            } else {
-                turns.free += 1;
-            }
+        turns.free += count;
+        self.share.taken.fetch_sub(count, Ordering::Relaxed);
+        while turns.free > 0 {
+            let may_run = |waiter: &Arc<Waiter>| waiter.share.left() > 0;
+            let Some(next) = turns.waiting.iter().position(may_run) else { break };
+            let Some(waiter) = turns.waiting.remove(next) else { break };
+            turns.free -= 1;
+            waiter.share.taken.fetch_add(1, Ordering::Relaxed);
+            waiter.called.store(true, Ordering::Release);
+            waiter.thread.unpark();
         }
     }
 
     fn lock(&self) -> MutexGuard<'_, Turns> {
         // The guarded numbers are consistent after every statement, panic or not.
-        self.turns.lock().unwrap_or_else(PoisonError::into_inner)
+        self.threads.turns.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
@@ -202,6 +250,38 @@ mod tests {
             assert!(std::panic::catch_unwind(std::panic::AssertUnwindSafe(work)).is_err());
             assert_eq!(scheduler.lock().free, 2);
         }
+    }
+
+    #[test]
+    fn a_share_is_not_exceeded_and_the_rest_is_for_others() {
+        let scheduler = Scheduler::new(3).unwrap();
+        let small = scheduler.limited(1);
+        let (running, most) = (AtomicUsize::new(0), AtomicUsize::new(0));
+        let (free, most_free) = (AtomicUsize::new(0), AtomicUsize::new(0));
+        let mut cells = vec![vec![0; 129]; 4];
+        let mut others = vec![vec![0; 129]; 4];
+        std::thread::scope(|scope| {
+            for cells in &mut cells {
+                let (small, running, most) = (small.clone(), &running, &most);
+                scope.spawn(move || {
+                    let mut cost = Duration::from_micros(100);
+                    small.run(Count { cells, running, most }, &mut cost);
+                });
+            }
+            for cells in &mut others {
+                let (scheduler, free, most_free) = (&scheduler, &free, &most_free);
+                scope.spawn(move || {
+                    let mut cost = Duration::from_micros(100);
+                    scheduler.run(Count { cells, running: free, most: most_free }, &mut cost);
+                });
+            }
+        });
+        assert!(cells.iter().chain(&others).flatten().all(|cell| *cell == 1));
+        assert_eq!(most.into_inner(), 1);
+        assert!(most_free.into_inner() <= 3);
+        assert_eq!(scheduler.lock().free, 3);
+        assert_eq!((small.share.left(), scheduler.share.left()), (1, usize::MAX));
+        assert!(scheduler.busy() > Duration::ZERO);
     }
 
     #[test]
