@@ -48,6 +48,11 @@ impl Logging {
         }
         Ok(())
     }
+
+    /// Whether lines are for programs.
+    pub(crate) fn is_json(&self) -> bool {
+        self.log_format == Format::Json
+    }
 }
 
 fn parse(levels: &str) -> Result<String, ParseError> {

@@ -110,8 +110,8 @@ impl Serve {
         let registry = Registry::builtin();
         let tasks = registry.ids().count();
         serve(registry, &config, &stop, || {
-            // A private server has no user who would read this.
-            if config.linger.is_none() {
+            // A private server has no user who would read this, and a log collector is none.
+            if config.linger.is_none() && !self.logging.is_json() {
                 announce(&config, tasks);
             }
         })?;
