@@ -15,7 +15,8 @@
 //! | `scheduler.rs` | turns: which session's environments run on which threads |
 //!
 //! Every session has its own data service, thread and environments, so a slow session never holds
-//! up a fast one; the scheduler hands out turns of about a millisecond in order of arrival.
+//! up a fast one; the scheduler hands out turns of about a millisecond, the next one to whoever has
+//! had the threads for the least time.
 
 mod batch;
 mod control;

@@ -285,7 +285,7 @@ impl Session {
                 numbers: vec![0; envs],
             },
             meter: ground.meter.task(&shared.task),
-            scheduler: account.scheduler,
+            scheduler: account.scheduler.separate(),
             next_step: wanted.autoreset == Autoreset::NextStep,
             ground,
             shared,
