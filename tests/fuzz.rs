@@ -12,7 +12,7 @@ use rand_chacha::ChaCha8Rng;
 use trocar_client::{CallError, SessionRequest};
 use trocar_proto::wire::{Header, kind};
 use trocar_server::Registry;
-use trocar_server::service::{Answer, Desk, Footprint, ServerConfig};
+use trocar_server::service::{Answer, Desk, ServerConfig, Usage};
 
 use crate::harness::{Server, eventually};
 use crate::twin::Bystander;
@@ -35,8 +35,7 @@ fn hostile_control_messages_do_not_harm_a_running_server() {
     for index in 0..count() {
         let message = mutator.next();
         // To end the server is every client's right, so it is no attack.
-        if desk.judge(&message.header, &message.bytes, Footprint::default(), 0) == Answer::Shutdown
-        {
+        if desk.judge(&message.header, &message.bytes, &Usage::default()) == Answer::Shutdown {
             continue;
         }
         if let Err(error) = client.send_raw(message.header, &message.bytes) {

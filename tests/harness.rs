@@ -43,8 +43,13 @@ impl Server {
 
     /// The same under a given name.
     pub(crate) fn start_named(name: &str, arguments: &[&str]) -> Self {
+        Self::start_command(name, serve(name).args(arguments))
+    }
+
+    /// The same by a command that [`serve`] began.
+    pub(crate) fn start_command(name: &str, command: &mut Command) -> Self {
         let watchdog = Watchdog::start();
-        let mut child = Process::spawn(serve(name).args(arguments));
+        let mut child = Process::spawn(command);
         eventually("the server runs", || {
             assert!(child.poll().is_none(), "the server {name} ended: {:?}", child.poll());
             matches!(endpoint(name).server_state(), ServerState::Running { .. })
@@ -118,6 +123,18 @@ impl Process {
     pub(crate) fn signal(&self, signal: Signal) {
         let pid = Pid::from_raw(self.child.id().cast_signed()).expect("a process has a number");
         kill_process(pid, signal).expect("the process was not waited for yet");
+    }
+
+    /// Stops it, and waits until all of its threads are.
+    pub(crate) fn stop(&self) {
+        self.signal(Signal::STOP);
+        eventually("it is stopped", || {
+            let tasks = std::fs::read_dir(format!("/proc/{}/task", self.pid())).unwrap();
+            tasks.flatten().all(|task| {
+                let stat = std::fs::read_to_string(task.path().join("stat")).unwrap();
+                stat.rsplit_once(')').is_some_and(|(_, fields)| fields.trim().starts_with('T'))
+            })
+        });
     }
 
     /// Kills it as `kill -9` does, and collects it.

@@ -10,6 +10,8 @@
 //! | `lifecycle.rs` | whoever is killed or stopped, the others go on and nothing is left |
 //! | `refusals.rs` | bad input is refused by name, and harms nobody |
 //! | `snapshots.rs` | snapshot, restore, fork; bytes that go to another server |
+//! | `reconnect.rs` | sessions that survive the loss of their server |
+//! | `operation.rs` | quotas, metrics, logs, an end in order |
 //! | `fuzz.rs` | hostile bytes sent to a running server |
 //! | `namespaces.rs` | server and client in separate process namespaces |
 //! | `dependencies.rs` | who may depend on what |
@@ -24,7 +26,9 @@ mod fuzz;
 mod harness;
 mod lifecycle;
 mod namespaces;
+mod operation;
 mod parity;
+mod reconnect;
 mod refusals;
 mod rows;
 mod snapshots;

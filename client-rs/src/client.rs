@@ -19,12 +19,25 @@ use crate::transport::{Link, Owned};
 /// How long a client waits for a server that is just starting.
 const PATIENCE: Duration = Duration::from_secs(10);
 
+/// The longest pause between two looks for a server that is to come back.
+const LONGEST_PAUSE: Duration = Duration::from_secs(1);
+
 /// A connection to one server. Clones share it; it ends with the last clone or session.
 #[derive(Debug, Clone)]
 pub struct Client {
     link: Arc<Owned<Link>>,
     info: ClientInfo,
     server: ServerInfo,
+    origin: Origin,
+}
+
+/// Where a server is found again.
+#[derive(Debug, Clone)]
+enum Origin {
+    /// Under this name, where somebody starts it.
+    Named(ServerName),
+    /// It is started where it does not run.
+    Private(private::PrivateServer),
 }
 
 impl Client {
@@ -45,31 +58,34 @@ impl Client {
     /// [`Self::connect`] for a client in another language.
     #[doc(hidden)]
     pub fn connect_as(name: &str, language: &str) -> Result<Self, ConnectError> {
-        let name: ServerName = name.parse()?;
-        let endpoint = Endpoint::new(&name);
-        if !matches!(endpoint.server_state(), ServerState::Running { .. }) {
-            return Err(ConnectError::NoServer { name: name.to_string() });
-        }
-        let membership = endpoint.join().map_err(shared_memory)?;
-        Self::over(&membership, language)
+        Origin::Named(name.parse()?).connect(language)
     }
 
     /// Connects to a private server, which is started where it does not run.
     #[doc(hidden)]
     pub fn launch(server: &private::PrivateServer, language: &str) -> Result<Self, ConnectError> {
-        let membership = server.endpoint().join().map_err(shared_memory)?;
-        let start = Instant::now();
+        Origin::Private(server.clone()).connect(language)
+    }
+
+    /// Connects again, to whichever server of that name runs within `patience`.
+    pub(crate) fn again(&self, patience: Duration) -> Result<Self, ConnectError> {
+        let deadline = Instant::now() + patience;
+        let mut pause = Duration::from_millis(10);
         loop {
-            server.start_if_absent(&membership)?;
-            match Self::over(&membership, language) {
-                // It ended just then, as its last client was gone: start another.
-                Err(ConnectError::NoServer { .. }) if start.elapsed() < PATIENCE => {}
+            match self.origin.connect(&self.info.language) {
+                Err(ConnectError::NoServer { .. }) if Instant::now() < deadline => {}
                 result => return result,
             }
+            std::thread::sleep(pause.min(deadline.saturating_duration_since(Instant::now())));
+            pause = (pause * 2).min(LONGEST_PAUSE);
         }
     }
 
-    fn over(membership: &Membership, language: &str) -> Result<Self, ConnectError> {
+    fn over(
+        membership: &Membership,
+        language: &str,
+        origin: &Origin,
+    ) -> Result<Self, ConnectError> {
         let name = membership.endpoint().name().to_string();
         let start = Instant::now();
         let mut pause = Duration::from_millis(1);
@@ -78,7 +94,7 @@ impl Client {
                 ServerState::Running { epoch, .. } => {
                     let endpoint = membership.endpoint().clone();
                     let joined = endpoint.join().map_err(shared_memory)?;
-                    match Self::hello(joined, epoch, language) {
+                    match Self::hello(joined, epoch, language, origin.clone()) {
                         // Its services are not there yet, or it ended meanwhile: look again.
                         Err(CallError::Transport(_) | CallError::ServerLost { .. })
                             if start.elapsed() < PATIENCE => {}
@@ -90,7 +106,7 @@ impl Client {
                         Ok(client) => return Ok(client),
                     }
                 }
-                ServerState::Closed { .. } | ServerState::Absent => {
+                ServerState::Ending { .. } | ServerState::Closed { .. } | ServerState::Absent => {
                     return Err(ConnectError::NoServer { name });
                 }
             }
@@ -102,13 +118,18 @@ impl Client {
         }
     }
 
-    fn hello(membership: Membership, epoch: u64, language: &str) -> Result<Self, CallError> {
+    fn hello(
+        membership: Membership,
+        epoch: u64,
+        language: &str,
+        origin: Origin,
+    ) -> Result<Self, CallError> {
         let link = Link::open(membership, epoch)?;
         let info =
             ClientInfo { node: link.node_id(), pid: std::process::id(), language: language.into() };
         match link.call(&ControlRequest::Hello(info.clone()))? {
             ControlReply::Hello(server) => {
-                Ok(Self { link: Arc::new(Owned::new(link)), info, server })
+                Ok(Self { link: Arc::new(Owned::new(link)), info, server, origin })
             }
             other => Err(unexpected(&other)),
         }
@@ -138,11 +159,11 @@ impl Client {
 
     /// Opens a session: one task, N environments, one seed, its options.
     pub fn open(&self, request: &SessionRequest) -> Result<Session, CallError> {
-        let request =
+        let open =
             ControlRequest::OpenSession { request: request.clone(), client: self.info.clone() };
-        match self.call(&request)? {
+        match self.call(&open)? {
             // Where the server has died meanwhile, its successor may have removed the services.
-            ControlReply::Opened(info) => Session::new(Arc::clone(&self.link), info)
+            ControlReply::Opened(info) => Session::new(self.clone(), request.clone(), info)
                 .map_err(|error| self.link.check_server().err().unwrap_or(error)),
             other => Err(unexpected(&other)),
         }
@@ -170,8 +191,38 @@ impl Client {
         self.link.get()?.call_raw(header, bytes)
     }
 
+    pub(crate) fn link(&self) -> &Arc<Owned<Link>> {
+        &self.link
+    }
+
     fn call(&self, request: &ControlRequest) -> Result<ControlReply, CallError> {
         self.link.get()?.call(request)
+    }
+}
+
+impl Origin {
+    fn connect(&self, language: &str) -> Result<Client, ConnectError> {
+        let server = match self {
+            Self::Named(name) => {
+                let endpoint = Endpoint::new(name);
+                if !matches!(endpoint.server_state(), ServerState::Running { .. }) {
+                    return Err(ConnectError::NoServer { name: name.to_string() });
+                }
+                let membership = endpoint.join().map_err(shared_memory)?;
+                return Client::over(&membership, language, self);
+            }
+            Self::Private(server) => server,
+        };
+        let membership = server.endpoint().join().map_err(shared_memory)?;
+        let start = Instant::now();
+        loop {
+            server.start_if_absent(&membership)?;
+            match Client::over(&membership, language, self) {
+                // It ended just then, as its last client was gone: start another.
+                Err(ConnectError::NoServer { .. }) if start.elapsed() < PATIENCE => {}
+                result => return result,
+            }
+        }
     }
 }
 

@@ -36,6 +36,17 @@ pub enum ConnectError {
     Transport(String),
 }
 
+/// Why a session could not be opened again.
+#[derive(Debug, thiserror::Error)]
+pub enum ReconnectError {
+    /// No server was there in time.
+    #[error(transparent)]
+    Connect(#[from] ConnectError),
+    /// It does not open the session, or does not take what was saved.
+    #[error(transparent)]
+    Call(#[from] CallError),
+}
+
 /// Why a request to a connected server failed.
 #[derive(Debug, thiserror::Error)]
 pub enum CallError {

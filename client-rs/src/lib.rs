@@ -20,12 +20,14 @@
 mod client;
 mod error;
 pub mod private;
+mod reconnect;
 mod session;
 mod snapshot;
 mod transport;
 
 pub use client::Client;
-pub use error::{CallError, ConnectError};
+pub use error::{CallError, ConnectError, ReconnectError};
+pub use reconnect::Resumed;
 pub use session::{Reply, Session};
 pub use snapshot::Snapshot;
 pub use trocar_proto as proto;

@@ -4,11 +4,11 @@ use std::collections::VecDeque;
 use std::sync::Arc;
 use std::time::Duration;
 
-use trocar_proto::control::{ControlReply, ControlRequest, SessionInfo};
+use trocar_proto::control::{ControlReply, ControlRequest, SessionInfo, SessionRequest};
 use trocar_proto::wire::{Header, MAX_IN_FLIGHT, ReplyLayout, RequestLayout, flag, kind};
 use trocar_proto::{Code, Rejection, TaskSpec, snapshot};
 
-use crate::client::unexpected;
+use crate::client::{Client, unexpected};
 use crate::error::CallError;
 use crate::snapshot::{Dropped, Snapshot};
 use crate::transport::{DataPort, Link, Owned, RawPending, RawReply, SLICE, refusal};
@@ -21,7 +21,12 @@ pub struct Session {
     info: Arc<SessionInfo>,
     request_layout: RequestLayout,
     reply_layout: Arc<ReplyLayout>,
-    want_expert: bool,
+    pub(crate) want_expert: bool,
+    /// What it was opened with, and where.
+    pub(crate) request: SessionRequest,
+    pub(crate) client: Client,
+    /// The states to go on from should the server be lost.
+    pub(crate) checkpoint: Option<Vec<u8>>,
     /// Numbers of snapshots that nobody has any more and that the server still keeps.
     dropped: Dropped,
     requests: u64,
@@ -85,10 +90,15 @@ impl EnvIds {
 }
 
 impl Session {
-    pub(crate) fn new(link: Arc<Owned<Link>>, info: SessionInfo) -> Result<Self, CallError> {
+    pub(crate) fn new(
+        client: Client,
+        request: SessionRequest,
+        info: SessionInfo,
+    ) -> Result<Self, CallError> {
         let envs = info.envs as usize;
         let request_layout = RequestLayout::new(envs, &info.spec);
         let reply_layout = Arc::new(ReplyLayout::new(envs, &info.spec));
+        let link = Arc::clone(client.link());
         let port = Owned::new(DataPort::open(link, &info, request_layout.bytes)?);
         let info = Arc::new(info);
         let in_flight = VecDeque::with_capacity(MAX_IN_FLIGHT);
@@ -99,6 +109,9 @@ impl Session {
             request_layout,
             reply_layout,
             want_expert: false,
+            request,
+            client,
+            checkpoint: None,
             dropped: Dropped::default(),
             requests: 0,
             ended: false,

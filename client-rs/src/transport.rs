@@ -121,15 +121,25 @@ impl Link {
         self.node.id().value()
     }
 
-    /// An error if the server that this client connected to is gone.
+    /// An error if the server that this client connected to takes no more requests.
     pub(crate) fn check_server(&self) -> Result<(), CallError> {
         let endpoint = self.membership.endpoint();
         let closed = match endpoint.server_state() {
             ServerState::Running { epoch, .. } if epoch == self.epoch => return Ok(()),
-            ServerState::Closed { epoch } => epoch == self.epoch,
+            ServerState::Ending { epoch, .. } | ServerState::Closed { epoch } => {
+                epoch == self.epoch
+            }
             ServerState::Running { .. } | ServerState::Absent => false,
         };
         Err(CallError::ServerLost { name: endpoint.name().to_string(), closed })
+    }
+
+    /// An error if it answers none any more, either: one that ends answers what it was asked.
+    fn check_answers(&self) -> Result<(), CallError> {
+        match self.membership.endpoint().server_state() {
+            ServerState::Ending { epoch, .. } if epoch == self.epoch => Ok(()),
+            _ => self.check_server(),
+        }
     }
 
     /// Sends one control request and waits for its reply; a refusal is an error.
@@ -173,7 +183,7 @@ impl Link {
                 return Err(CallError::Transport("the server did not answer; see its log".into()));
             }
             if checked.elapsed() > SLICE {
-                self.check_server()?;
+                self.check_answers()?;
                 checked = Instant::now();
             }
             if start.elapsed() < BRISK {
@@ -272,7 +282,7 @@ impl DataPort {
                 return Ok(None);
             }
             match self.reply_bell.timed_wait(|_| {}, left.clamp(LEAST_WAIT, SLICE)) {
-                Ok(0) => self.link.check_server()?,
+                Ok(0) => self.link.check_answers()?,
                 Ok(_) => {}
                 // The caller may want to act on the signal.
                 Err(ListenerWaitError::InterruptSignal) => return Ok(None),

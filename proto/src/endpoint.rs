@@ -179,7 +179,8 @@ impl Endpoint {
         let Ok(file) = File::open(self.server_lock()) else { return ServerState::Absent };
         let locked = flock(&file, FlockOperation::NonBlockingLockShared).is_err();
         match (locked, read_words(&file)) {
-            (_, [_, epoch, CLOSED]) => ServerState::Closed { epoch },
+            (true, [pid, epoch, CLOSED]) => ServerState::Ending { pid: pid as u32, epoch },
+            (false, [_, epoch, CLOSED]) => ServerState::Closed { epoch },
             (true, [pid, epoch, _]) => ServerState::Running { pid: pid as u32, epoch },
             (false, _) => ServerState::Absent,
         }
@@ -344,7 +345,14 @@ pub enum ServerState {
         /// Which run of the server it is.
         epoch: u64,
     },
-    /// The last server ended in order, or is about to.
+    /// A server is about to end: it answers what it was asked, and takes nothing new.
+    Ending {
+        /// Its process id, in its own process namespace.
+        pid: u32,
+        /// Which run of the server it is.
+        epoch: u64,
+    },
+    /// The last server ended in order.
     Closed {
         /// Which run of the server it was.
         epoch: u64,
@@ -459,7 +467,7 @@ mod tests {
         assert_eq!(endpoint.server_state(), ServerState::Absent);
         let lock = membership.become_server(8).unwrap().unwrap();
         lock.announce_end().unwrap();
-        assert_eq!(endpoint.server_state(), ServerState::Closed { epoch: 8 });
+        assert_eq!(endpoint.server_state(), ServerState::Ending { pid, epoch: 8 });
         assert_eq!(membership.become_server(9).unwrap().unwrap_err(), pid);
         drop(lock);
         assert_eq!(endpoint.server_state(), ServerState::Closed { epoch: 8 });

@@ -11,7 +11,7 @@ use mutation::Mutator;
 use trocar_proto::Options;
 use trocar_proto::control::ControlReply;
 use trocar_proto::snapshot::{Recipe, fingerprint};
-use trocar_server::service::{Answer, Desk, Footprint, ServerConfig};
+use trocar_server::service::{Answer, Desk, Footprint, ServerConfig, Usage};
 use trocar_server::tasks::Registry;
 
 /// Messages after which whatever is allocated once has been.
@@ -34,8 +34,9 @@ fn hostile_control_messages_neither_panic_nor_take_memory() {
     for index in 0..count {
         let message = mutator.next();
         let judged = catch_unwind(AssertUnwindSafe(|| {
-            let used = Footprint { shared: index as u64 % (1 << 31), private: 0 };
-            desk.judge(&message.header, &message.bytes, used, index % 600)
+            let memory = Footprint { shared: index as u64 % (1 << 31), private: 0 };
+            let usage = Usage { memory, sessions: index % 600, ..Usage::default() };
+            desk.judge(&message.header, &message.bytes, &usage)
         }));
         match judged {
             Ok(Answer::Reply(ControlReply::Refused(refusal))) => {

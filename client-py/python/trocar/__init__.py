@@ -19,7 +19,7 @@ from trocar import errors
 from trocar._connection import status
 from trocar._trocar import Element, OptionSpec, TaskSpec, __version__
 from trocar.env import TrocarEnv
-from trocar.errors import ServerLost, TrocarError
+from trocar.errors import Reconnected, ServerLost, TrocarError
 from trocar.registration import register, register_all
 from trocar.server import Server, binary
 from trocar.snapshot import Snapshot
@@ -28,6 +28,7 @@ from trocar.vector import TrocarVectorEnv
 __all__ = [
     "Element",
     "OptionSpec",
+    "Reconnected",
     "Server",
     "ServerLost",
     "Snapshot",

@@ -7,6 +7,7 @@ import contextlib
 import os
 import secrets
 import threading
+import time
 import weakref
 from collections.abc import Callable, Mapping
 from typing import Any, TypeVar
@@ -15,12 +16,27 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trocar import _trocar
-from trocar.errors import Closed, ResetNeeded, ServerLost, UnknownSession
+from trocar.errors import (
+    Closed,
+    InvalidOption,
+    NoServer,
+    Reconnected,
+    ResetNeeded,
+    ServerLost,
+    UnknownSession,
+    refuse,
+)
 from trocar.server import binary
 from trocar.snapshot import Snapshot
 
 SERVER = "TROCAR_SERVER"
 """The environment variable that names the server to use where an environment names none."""
+
+PATIENCE = 60.0
+"""How long ``reconnect=True`` waits for a server that is to come back, s."""
+
+LONGEST_PAUSE = 1.0
+"""The longest pause between two looks for it, s."""
 
 _T = TypeVar("_T")
 
@@ -90,6 +106,9 @@ class Connection:
         autoreset: ``NextStep``, ``SameStep`` or ``Disabled``.
         expert: Whether replies carry the scripted expert's actions.
         options: The task's options.
+        reconnect: For how many seconds a lost server is waited for; ``True`` for 60.
+        shown: What the environments make of the reply that shows where they go on after that:
+            observation and info.
     """
 
     def __init__(
@@ -101,7 +120,16 @@ class Connection:
         autoreset: str,
         expert: bool,
         options: Mapping[str, Any],
+        reconnect: bool | float,
+        shown: Callable[[_trocar.Reply], tuple[Any, dict[str, Any]]],
     ) -> None:
+        self._patience = PATIENCE if reconnect is True else float(reconnect)
+        if not self._patience >= 0.0:
+            raise refuse(InvalidOption, "reconnect", reconnect, "allowed are seconds, or a bool")
+        self._shown = shown
+        self._seed: int | None = None
+        self._seeds: NDArray[np.uint64] | None = None
+        self._checkpoint: Snapshot | None = None
         self.expert = expert
         self._server = server
         self._request: dict[str, Any] = {
@@ -124,7 +152,10 @@ class Connection:
     ) -> _trocar.Reply:
         """Resets environments; a reset of all opens the session anew where that is needed."""
         self._ready(everything=env_ids is None)
-        return self._try(lambda session: session.reset(env_ids, seeds))
+        reply = self._try(lambda session: session.reset(env_ids, seeds))
+        if env_ids is None:
+            self._seeds = seeds
+        return reply
 
     def step(self, actions: Any) -> _trocar.Reply:
         """Steps all environments."""
@@ -155,6 +186,10 @@ class Connection:
         """Lets environments go on from the present states of others."""
         return self._try(lambda session: session.fork(sources, env_ids))
 
+    def checkpoint(self) -> None:
+        """Saves the states of all environments here: where they go on after a reconnection."""
+        self._checkpoint = Snapshot.from_bytes(self.snapshot().to_bytes())
+
     def abandon(self) -> None:
         """Gives up on the replies in flight."""
         if self._session is not None and self._process == os.getpid():
@@ -178,10 +213,10 @@ class Connection:
         if everything and (self._session is None or foreign):
             self._open()
 
-    def _open(self) -> _trocar.Session:
-        """Opens a session whose seed nobody knows, as Gymnasium wants it without a seed."""
+    def _open(self, seed: int | None = None) -> _trocar.Session:
+        """Opens a session; without a seed, whose seed nobody knows, as Gymnasium wants it."""
         self._drop()
-        seed = secrets.randbits(62)
+        seed = self._seed = secrets.randbits(62) if seed is None else seed
         for attempt in range(2):
             client = connect(self._server)
             try:
@@ -203,11 +238,44 @@ class Connection:
             raise ResetNeeded("the environment has no session; reset all of it first")
         try:
             return request(self._session)
-        except (ServerLost, UnknownSession):
-            if self._client is not None:
-                _forget(self._client)
-            self._drop()
+        except (ServerLost, UnknownSession) as lost:
+            self._lose()
+            if self._patience > 0.0:
+                raise self._reconnected(lost) from lost
             raise
+
+    def _lose(self) -> None:
+        if self._client is not None:
+            _forget(self._client)
+        self._drop()
+
+    def _reconnected(self, lost: Exception) -> Reconnected:
+        """Waits for a server and goes on there; what there is to tell about it."""
+        deadline = time.monotonic() + self._patience
+        pause = 0.01
+        while True:
+            try:
+                session = self._open(self._seed)
+                if self._checkpoint is None:
+                    resumed, reply = "reset", session.reset(None, self._seeds)
+                else:
+                    states = self._checkpoint.states_in(session)
+                    resumed, reply = "snapshot", session.restore(states, None)
+                break
+            except (NoServer, ServerLost):
+                self._lose()
+                if time.monotonic() + pause > deadline:
+                    raise
+            time.sleep(pause)
+            pause = min(2.0 * pause, LONGEST_PAUSE)
+        where = "the latest checkpoint" if resumed == "snapshot" else "the latest reset"
+        told = Reconnected(
+            f"{lost}; the session was opened again and goes on from {where}; what was asked for was "
+            "not carried out"
+        )
+        told.resumed = resumed
+        told.observation, told.info = self._shown(reply)
+        return told
 
     def _drop(self) -> None:
         session, self._session, self._client = self._session, None, None

@@ -54,6 +54,7 @@ class TrocarEnv(GoalFunctions, gym.Env[Observation, NDArray[np.float32]]):
         render_mode: str | None = None,
         expert: bool = False,
         copy: bool = True,
+        reconnect: bool | float = False,
         **options: Any,
     ) -> None:
         """Opens a session of one environment.
@@ -65,6 +66,9 @@ class TrocarEnv(GoalFunctions, gym.Env[Observation, NDArray[np.float32]]):
             expert: Whether ``info["expert_action"]`` shall hold the scripted expert's action.
             copy: With ``False``, observations are read-only views of shared memory, valid until
                 the next step but one.
+            reconnect: Whether to survive the loss of the server: for how many seconds another of its
+                name is waited for (``True``: 60). Then :class:`~trocar.errors.Reconnected` says where
+                the environment goes on; see :meth:`checkpoint`.
             options: The task's options; ``task_spec.options`` lists them.
 
         Raises:
@@ -75,7 +79,14 @@ class TrocarEnv(GoalFunctions, gym.Env[Observation, NDArray[np.float32]]):
         self._copy = copy
         self._expert_action: NDArray[np.float32] | None = None
         self._connection = Connection(
-            task, server=server, envs=1, autoreset="Disabled", expert=expert, options=options
+            task,
+            server=server,
+            envs=1,
+            autoreset="Disabled",
+            expert=expert,
+            options=options,
+            reconnect=reconnect,
+            shown=self._begun,
         )
         self.action_space = action_space(self.task_spec)
         self.observation_space = observation_space(self.task_spec)
@@ -96,7 +107,10 @@ class TrocarEnv(GoalFunctions, gym.Env[Observation, NDArray[np.float32]]):
             seed = check_seed(seed)
             seeds = np.array([seed], np.uint64)
         super().reset(seed=seed)
-        reply = self._connection.reset(None, seeds)
+        return self._begun(self._connection.reset(None, seeds))
+
+    def _begun(self, reply: _trocar.Reply) -> tuple[Observation, dict[str, Any]]:
+        """Observation and info of an episode that begins, or goes on elsewhere."""
         info = {"episode_seed": int(reply.seed()[0]), "episode_index": int(reply.episode()[0])}
         return self._observation(reply, info), info
 
@@ -117,6 +131,10 @@ class TrocarEnv(GoalFunctions, gym.Env[Observation, NDArray[np.float32]]):
         make the environment with ``max_episode_steps=-1``; the server ends episodes in any case.
         """
         return self._connection.snapshot()
+
+    def checkpoint(self) -> None:
+        """Saves the present state in this process: where ``reconnect`` goes on. One is kept."""
+        self._connection.checkpoint()
 
     def restore(self, snapshot: Snapshot) -> Observation:
         """Goes on from a snapshot, and returns what is observed there.

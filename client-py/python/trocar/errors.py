@@ -6,6 +6,8 @@ the session goes on as before.
 
 from __future__ import annotations
 
+from typing import Any
+
 import gymnasium.error
 
 
@@ -86,6 +88,21 @@ class LaunchError(TrocarError):
 
 class ServerLost(TrocarError):
     """The server died or was shut down, and the session with it; a reset opens a new one."""
+
+
+class Reconnected(ServerLost):
+    """The server was lost and found again (``reconnect=…``): the environment can be used at once.
+
+    What was asked for was *not* carried out: where the environments are now, this tells.
+    """
+
+    resumed: str = "reset"
+    """``"snapshot"``: they go on from the latest ``checkpoint()``. ``"reset"``: they begin anew, with
+    the seeds of the latest ``reset`` of all, since there was no checkpoint."""
+    observation: Any = None
+    """What is observed there, as ``reset`` returns it."""
+    info: dict[str, Any] | None = None
+    """Which episodes these are, as ``reset`` tells."""
 
 
 class StaleSession(ServerLost):

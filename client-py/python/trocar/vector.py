@@ -59,6 +59,7 @@ class TrocarVectorEnv(
         max_episode_steps: int | None = None,
         expert: bool = False,
         copy: bool = True,
+        reconnect: bool | float = False,
         **options: Any,
     ) -> None:
         """Opens a session of ``num_envs`` environments.
@@ -75,6 +76,9 @@ class TrocarVectorEnv(
             expert: Whether ``infos["expert_action"]`` shall hold the scripted expert's actions.
             copy: With ``False``, observations are read-only views of shared memory, valid until
                 the next step but one.
+            reconnect: Whether to survive the loss of the server: for how many seconds another of its
+                name is waited for (``True``: 60). Then :class:`~trocar.errors.Reconnected` says where
+                all environments go on; see :meth:`checkpoint`.
             options: The task's options; ``task_spec.options`` lists them.
 
         Raises:
@@ -90,6 +94,8 @@ class TrocarVectorEnv(
             autoreset=self.autoreset_mode.value,
             expert=expert,
             options=options,
+            reconnect=reconnect,
+            shown=self._begun,
         )
         self.closed = False
         spec = self.task_spec
@@ -144,6 +150,14 @@ class TrocarVectorEnv(
                 env_ids = np.flatnonzero(part).astype(np.uint32)
                 given = numbers[part] if seeded[part].all() else None
                 self._latest.part(self._connection.reset(env_ids, given))
+        return self._beginning(chosen)
+
+    def _begun(self, reply: _trocar.Reply) -> tuple[Observation, dict[str, Any]]:
+        """Observations and infos of episodes that all begin, or go on elsewhere."""
+        self._latest.whole(reply)
+        return self._beginning(np.ones(self.num_envs, np.bool_))
+
+    def _beginning(self, chosen: NDArray[np.bool_]) -> tuple[Observation, dict[str, Any]]:
         latest = self._latest.arrays(self._copy)
         expert_action = np.array(latest.pop("expert_action"))
         infos = _masked(chosen, **{name: latest.pop(name) for name in EPISODE})
@@ -183,6 +197,13 @@ class TrocarVectorEnv(
         None of them may be under way by :meth:`send`.
         """
         return self._connection.snapshot(None if env_ids is None else self._env_ids(env_ids))
+
+    def checkpoint(self) -> None:
+        """Saves the present states of all in this process: where ``reconnect`` goes on. One is kept.
+
+        None of them may be under way by :meth:`send`.
+        """
+        self._connection.checkpoint()
 
     def restore(self, snapshot: Snapshot, env_ids: ArrayLike | None = None) -> Observation:
         """Lets environments go on from a snapshot.

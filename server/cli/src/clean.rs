@@ -64,6 +64,7 @@ fn clean(endpoint: &Endpoint) -> anyhow::Result<Option<String>> {
         ServerState::Running { pid, .. } => {
             format!("in use: its server runs (process {pid}); `trocar stop --name {name}` ends it")
         }
+        ServerState::Ending { pid, .. } => format!("in use: its server (process {pid}) is ending"),
         ServerState::Closed { .. } | ServerState::Absent => {
             "in use: its server is gone, but clients of it still live; it is removed with the last \
              of them"

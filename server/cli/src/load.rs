@@ -48,15 +48,23 @@ Examples:
   trocar load --clients 16 --seconds 600 --kill-every 2 --stop-every 5
   trocar load --seconds 60 --restart-server 3            kill the server, too
   trocar load --server lab --task NeedlePick-v0 --json   a server that runs already
+  trocar load --others BiPegTransfer-v0                  one client beside seven that compute much
   TROCAR_PYTHON=.venv/bin/python trocar load --python    clients in Python
 
 A message steps all environments of a client; its latency is seen from the client. Fairness is Jain's
 index of environment steps per second in which a client had a session and was not stopped: 1 is even.
 A mismatch is a session that departs from its twin. A leak is what there is more at the end than before
 the first client: sessions, files in /dev/shm and memory behind them, open files and mappings of the
-server unless it was restarted. Beside other clients, only sessions are looked at. Half of the environments follow the scripted
-expert, the others act at random. With --json: {clients, envs, steps, steps_per_second, p50_us, p99_us,
-jain, killed, reclaimed, stopped, restarts, errors, mismatches, leaked, server_memory_bytes}.
+server. Beside other clients, only sessions are looked at. Half of the environments follow the scripted
+expert, the others act at random.
+
+With --others, the share of the first client implies that a message takes its own computation and one
+turn of each other client, on as many threads as there are cores; a turn is what a step of one of their
+environments takes, at least 1 ms. Both are measured in the twins, that is under the same load.
+
+With --json: {clients, envs, steps, steps_per_second, p50_us, p99_us,
+jain, killed, reclaimed, stopped, restarts, errors, mismatches, leaked, server_memory_bytes}; with
+--others also {first_p99_us, share_us}.
 
 Exit codes: 0 all was right, 1 errors, mismatches, leaks or sessions of killed clients that stay,
 2 wrong usage, 3 no server of that name runs.")]
@@ -73,6 +81,9 @@ pub(crate) struct Load {
     /// A task id of `trocar tasks`
     #[arg(long, default_value = "NeedleReach-v0")]
     task: String,
+    /// Another task for all clients but the first, whose latency is then compared with its share
+    #[arg(long, value_name = "TASK")]
+    others: Option<String>,
     /// How long the load lasts, s
     #[arg(long, default_value_t = 10.0, value_parser = seconds)]
     seconds: f64,
@@ -106,9 +117,16 @@ fn seconds(text: &str) -> Result<f64, String> {
 static INTERRUPTED: AtomicBool = AtomicBool::new(false);
 
 impl Load {
+    /// The task of client `index`.
+    fn task_of(&self, index: usize) -> &str {
+        self.others.as_deref().filter(|_| index > 0).unwrap_or(&self.task)
+    }
+
     pub(crate) fn run(self) -> anyhow::Result<()> {
         // What cannot work is refused before anything is started.
-        Registry::builtin().spec(&self.task, &Options::new())?;
+        for task in [Some(&self.task), self.others.as_ref()].into_iter().flatten() {
+            Registry::builtin().spec(task, &Options::new())?;
+        }
         if self.python {
             fleet::check_python()?;
         }

@@ -7,14 +7,17 @@
 //! | `demo.rs` | one server and three clients in two languages at once |
 //! | `load.rs` | many clients at once that are killed and stopped, each compared with a twin |
 //! | `policy.rs`, `process.rs`, `options.rs` | who acts; processes that are started; options as text |
-//! | `usage.rs` | what other processes use |
+//! | `usage.rs`, `inherited.rs` | what other processes use, and what they leave open |
+//! | `logging.rs` | what is logged, and how |
 //! | `output.rs`, `exit.rs` | JSON lines, tables; exit codes |
 
 mod bench;
 mod clean;
 mod demo;
 mod exit;
+mod inherited;
 mod load;
+mod logging;
 mod options;
 mod output;
 mod policy;
@@ -29,7 +32,8 @@ mod usage;
 use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
-use tracing_subscriber::EnvFilter;
+
+use crate::logging::Logging;
 
 /// A surgical-robot simulation service: one server, any number of trainers.
 #[derive(Debug, Parser)]
@@ -92,9 +96,15 @@ enum Command {
 
 fn main() -> ExitCode {
     let cli = Cli::parse();
-    let filter = EnvFilter::try_from_env("TROCAR_LOG").unwrap_or_else(|_| EnvFilter::new("info"));
-    tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr).init();
-    let done = match cli.command {
+    exit::report(run(cli.command))
+}
+
+fn run(command: Command) -> anyhow::Result<()> {
+    match &command {
+        Command::Serve(serve) => serve.start_logging()?,
+        _ => Logging::default().start("info")?,
+    }
+    match command {
         Command::Serve(serve) => serve.run(),
         Command::Status(status) => status.run(),
         Command::Stop(stop) => stop.run(),
@@ -106,6 +116,5 @@ fn main() -> ExitCode {
         Command::LoadClient(client) => client.run(),
         Command::Demo(demo) => demo.run(),
         Command::DemoClient(client) => client.run(),
-    };
-    exit::report(done)
+    }
 }

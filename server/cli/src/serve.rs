@@ -1,11 +1,15 @@
 //! `trocar serve`: start a server that trainers can connect to.
 
+use std::net::{Ipv4Addr, SocketAddr};
 use std::time::Duration;
 
 use clap::Args;
 use trocar_proto::endpoint::ServerName;
-use trocar_server::service::{ServerConfig, StopSignal, serve};
+use trocar_server::service::{Quota, ServerConfig, StopSignal, serve};
 use trocar_server::tasks::Registry;
+
+use crate::inherited;
+use crate::logging::Logging;
 
 /// How long a private server outlives its last client.
 const LINGER: Duration = Duration::from_secs(3);
@@ -13,13 +17,19 @@ const LINGER: Duration = Duration::from_secs(3);
 /// Start a server that trainers can connect to.
 ///
 /// It serves any number of processes of the same user on this machine, in Rust and Python, until
-/// Ctrl-C, SIGTERM or `trocar stop`. A client that dies costs the others nothing.
+/// Ctrl-C, SIGTERM or `trocar stop`. Then it opens no more sessions, answers the steps that it is
+/// at, and ends; a second signal ends it at once. A client that dies costs the others nothing.
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
   trocar serve                                 the server `default`
   trocar serve --name lab --threads 8          another one beside it
   trocar serve --name lab --memory 4GiB --idle-limit 10min
+  trocar serve --name lab --client-envs 256 --client-threads 2    no client gets more
+  trocar serve --name lab --metrics 9100 --log-format json        for Prometheus and a log collector
+
+A client is a process; by default it may have all that the server has. Metrics are at
+http://127.0.0.1:9100/metrics, in Prometheus's text format.
 
 Connect with gym.make(\"trocar/NeedleReach-v0\", server=\"lab\") in Python, with
 Client::connect(\"lab\") in Rust, or set TROCAR_SERVER=lab for programs that name no server.")]
@@ -39,6 +49,26 @@ pub(crate) struct Serve {
     /// Close a session that sends nothing for so long, e.g. 90s, 10min or 1h
     #[arg(long, value_name = "TIME", default_value = "1h", value_parser = parse_duration)]
     idle_limit: Duration,
+    /// When told to end, wait at most so long for steps in progress
+    #[arg(long, value_name = "TIME", default_value = "5s", value_parser = parse_duration)]
+    drain_limit: Duration,
+    /// Most sessions of one client
+    #[arg(long, value_name = "N")]
+    client_sessions: Option<usize>,
+    /// Most environments of all sessions of one client
+    #[arg(long, value_name = "N")]
+    client_envs: Option<u64>,
+    /// Memory that all sessions of one client may take, their snapshots included
+    #[arg(long, value_name = "BYTES", value_parser = parse_bytes)]
+    client_memory: Option<u64>,
+    /// Most threads that step environments of one client at a time
+    #[arg(long, value_name = "N")]
+    client_threads: Option<usize>,
+    /// Serve metrics at this address: a port of 127.0.0.1, or ADDRESS:PORT
+    #[arg(long, value_name = "ADDR", value_parser = parse_address)]
+    metrics: Option<SocketAddr>,
+    #[command(flatten)]
+    logging: Logging,
     /// End with the process of this id, however it ends
     #[arg(long, value_name = "PID")]
     follow: Option<u32>,
@@ -48,13 +78,28 @@ pub(crate) struct Serve {
 }
 
 impl Serve {
+    pub(crate) fn start_logging(&self) -> anyhow::Result<()> {
+        // Nobody reads what a private server says, unless it does not start.
+        self.logging.start(if self.private.is_some() { "warn" } else { "info" })
+    }
+
     pub(crate) fn run(self) -> anyhow::Result<()> {
+        inherited::close_shared_memory();
         let defaults = ServerConfig::new(self.name.clone());
+        let all = Quota::default();
         let config = ServerConfig {
             threads: self.threads.unwrap_or(defaults.threads),
             max_envs: self.max_envs,
             memory_bytes: self.memory,
+            client: Quota {
+                sessions: self.client_sessions.unwrap_or(all.sessions),
+                envs: self.client_envs.unwrap_or(all.envs),
+                memory_bytes: self.client_memory.unwrap_or(all.memory_bytes),
+                threads: self.client_threads.unwrap_or(all.threads),
+            },
             idle_limit: self.idle_limit,
+            drain_limit: self.drain_limit,
+            metrics: self.metrics,
             follow: self.private.or(self.follow),
             linger: self.private.map(|_| LINGER),
             ..defaults
@@ -65,8 +110,8 @@ impl Serve {
         let registry = Registry::builtin();
         let tasks = registry.ids().count();
         serve(registry, &config, &stop, || {
-            // A private server has no user who would read this.
-            if config.linger.is_none() {
+            // A private server has no user who would read this, and a log collector is none.
+            if config.linger.is_none() && !self.logging.is_json() {
                 announce(&config, tasks);
             }
         })?;
@@ -117,6 +162,13 @@ fn parse_duration(text: &str) -> Result<Duration, String> {
     number.checked_mul(seconds).map(Duration::from_secs).ok_or_else(|| "too large".into())
 }
 
+fn parse_address(text: &str) -> Result<SocketAddr, String> {
+    if let Ok(port) = text.trim_start_matches(':').parse() {
+        return Ok((Ipv4Addr::LOCALHOST, port).into());
+    }
+    text.parse().map_err(|_| "expected a port, as 9100, or ADDRESS:PORT, as 0.0.0.0:9100".into())
+}
+
 fn split_unit(text: &str) -> (&str, &str) {
     let end = text.find(|c: char| !c.is_ascii_digit()).unwrap_or(text.len());
     (&text[..end], text[end..].trim())
@@ -136,5 +188,14 @@ mod tests {
         assert_eq!(parse_duration("90s"), Ok(Duration::from_secs(90)));
         assert_eq!(parse_duration("1h"), Ok(Duration::from_hours(1)));
         assert!(parse_duration("1 day").is_err());
+    }
+
+    #[test]
+    fn a_port_alone_is_one_of_this_machine() {
+        assert_eq!(parse_address("9100"), Ok("127.0.0.1:9100".parse().unwrap()));
+        assert_eq!(parse_address(":9100"), parse_address("9100"));
+        assert_eq!(parse_address("0.0.0.0:9100"), Ok("0.0.0.0:9100".parse().unwrap()));
+        assert!(parse_address("host:9100").unwrap_err().contains("9100"));
+        assert!(parse_address("99999").is_err());
     }
 }

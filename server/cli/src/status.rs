@@ -1,5 +1,6 @@
 //! `trocar status`: running servers, who is connected and how fast they run.
 
+use std::collections::BTreeMap;
 use std::io::{IsTerminal, Write};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
@@ -9,7 +10,7 @@ use trocar_client::{Client, ConnectError, ServerStatus};
 use trocar_proto::endpoint::{Endpoint, ServerName, ServerState};
 
 use crate::exit::Exit;
-use crate::output;
+use crate::{output, usage};
 
 /// How often `--watch` looks.
 const INTERVAL: Duration = Duration::from_secs(1);
@@ -24,7 +25,8 @@ Examples:
   trocar status --name lab --watch       one server, once a second until Ctrl-C
   trocar status --name lab --json        {name, pid, epoch, uptime_s, sessions, memory_bytes}
 
-Latencies are the time that the server takes for one message (a step of all of a session's
+CPU is that of the server's process since the last look, or since its start, where it is seen from here;
+memory is what sessions are counted with, and what of the process is in RAM. Latencies are the time that the server takes for one message (a step of all of a session's
 environments), without the way through shared memory.")]
 pub(crate) struct Status {
     /// The server to show [default: every running server of this user]
@@ -40,8 +42,9 @@ pub(crate) struct Status {
 
 impl Status {
     pub(crate) fn run(self) -> anyhow::Result<()> {
+        let mut cpu_times = CpuTimes::default();
         if !self.watch {
-            return self.show(&self.statuses()?);
+            return self.show(&self.statuses()?, &mut cpu_times);
         }
         ctrlc::set_handler(|| INTERRUPTED.store(true, Ordering::Release))?;
         while !INTERRUPTED.load(Ordering::Acquire) {
@@ -51,7 +54,7 @@ impl Status {
                 // Clear the screen and go to its corner.
                 write!(std::io::stderr(), "\x1b[2J\x1b[H")?;
             }
-            self.show(&statuses)?;
+            self.show(&statuses, &mut cpu_times)?;
             while start.elapsed() < INTERVAL && !INTERRUPTED.load(Ordering::Acquire) {
                 std::thread::sleep(Duration::from_millis(50));
             }
@@ -82,25 +85,51 @@ impl Status {
         Ok(statuses)
     }
 
-    fn show(&self, statuses: &[ServerStatus]) -> anyhow::Result<()> {
+    fn show(&self, statuses: &[ServerStatus], cpu_times: &mut CpuTimes) -> anyhow::Result<()> {
         for status in statuses {
             if self.json {
                 output::json_line(status)?;
             } else {
-                show_for_people(status);
+                show_for_people(status, cpu_times);
             }
         }
         Ok(())
     }
 }
 
-fn show_for_people(status: &ServerStatus) {
+/// CPU times of servers when they were last looked at, by the run of the server.
+#[derive(Default)]
+struct CpuTimes(BTreeMap<u64, (Instant, f64)>);
+
+impl CpuTimes {
+    /// Cores that the server was using since the last look, at first since its start.
+    fn cores(&mut self, status: &ServerStatus) -> Option<f64> {
+        let seconds = usage::cpu_seconds(&[status.pid]).ok()?;
+        let now = Instant::now();
+        Some(match self.0.insert(status.epoch, (now, seconds)) {
+            Some((then, before)) => (seconds - before) / (now - then).as_secs_f64(),
+            None => seconds / status.uptime_s,
+        })
+    }
+}
+
+fn show_for_people(status: &ServerStatus, cpu_times: &mut CpuTimes) {
     let ServerStatus { name, pid, sessions, .. } = status;
     let uptime = output::duration(Duration::from_secs_f64(status.uptime_s));
     let memory = output::mebibytes(status.memory_bytes);
     let count = sessions.len();
     let plural = if count == 1 { "" } else { "s" };
-    eprintln!("server {name}: process {pid}, up {uptime}, {count} session{plural}, {memory}");
+    let folder = name.parse().map(|name| Endpoint::new(&name).folder().to_path_buf());
+    // The process id is the server's own idea of it: elsewhere it may be somebody else's.
+    let seen = folder.is_ok_and(|folder| usage::holds_files_in(*pid, &folder));
+    let cores = if seen { cpu_times.cores(status) } else { None };
+    let cpu = cores.map_or(String::new(), |cores| format!(", CPU {:.0} %", cores * 100.0));
+    let resident = usage::resident_memory(*pid).filter(|_| seen);
+    let resident = resident
+        .map_or(String::new(), |bytes| format!(" of budget, {} in RAM", output::mebibytes(bytes)));
+    eprintln!(
+        "server {name}: process {pid}, up {uptime}{cpu}, {count} session{plural}, {memory}{resident}"
+    );
     if sessions.is_empty() {
         return;
     }

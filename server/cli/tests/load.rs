@@ -155,11 +155,25 @@ fn killed_clients_are_reclaimed_and_stopped_ones_go_on() {
     let report = sound(if soak() {
         "load --json --seconds 600 --clients 16 --kill-every 2 --stop-every 5"
     } else {
-        "load --json --seconds 6 --clients 4 --envs 3 --task EcmReach-v0 --kill-every 0.5 --stop-every 0.5"
+        "load --json --seconds 60 --clients 16 --kill-every 2 --stop-every 5"
     });
-    assert!(report["killed"].as_u64().unwrap() > 2, "{report}");
+    assert!(report["killed"].as_u64().unwrap() > 10, "{report}");
     assert_eq!(report["killed"], report["reclaimed"]);
     assert!(report["stopped"].as_u64().unwrap() > 2, "{report}");
+}
+
+#[test]
+fn a_client_beside_others_of_another_task_is_compared_with_its_share() {
+    let arguments = "load --json --seconds 3 --clients 3 --envs 2 --others NeedlePick-v0";
+    let (_, output) = run(&mut trocar(arguments));
+    let said = String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.success(), "{said}");
+    assert!(said.contains("client 1 beside the others: p99"), "{said}");
+    let report: Value = serde_json::from_slice(&output.stdout).unwrap();
+    assert_eq!(report.as_object().unwrap().len(), KEYS.len() + 2, "{report}");
+    // Two others have a turn of 1 ms or more each.
+    assert!(report["share_us"].as_f64().unwrap() > 1000.0 * 2.0 / 64.0, "{report}");
+    assert!(report["first_p99_us"].as_f64().unwrap() > 0.0, "{report}");
 }
 
 #[test]
@@ -225,6 +239,7 @@ fn a_server_that_runs_already_is_left_running() {
 fn wrong_usage_starts_nothing() {
     for (arguments, code) in [
         ("load --task Juggle-v0", 2),
+        ("load --others Juggle-v0", 2),
         ("load --clients 0", 2),
         ("load --seconds -1", 2),
         ("load --kill-every 0", 2),

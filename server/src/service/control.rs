@@ -6,16 +6,18 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use iceoryx2::port::listener::ListenerWaitError;
-use trocar_proto::control::{ControlReply, ServerStatus};
+use trocar_proto::control::{self, ClientInfo, ControlReply, ControlRequest, ServerStatus};
 use trocar_proto::endpoint::{LEAST_WAIT, MAX_CLIENTS, Node, ServerLock};
 use trocar_proto::wire::Header;
 use trocar_proto::{Code, Rejection};
 
-use super::desk::{Answer, Desk, Footprint};
+use super::desk::{Answer, Desk, Footprint, Holding, Quota, Usage};
+use super::exporter::Exporter;
 use super::lease::{self, Census, Watch};
+use super::meter::Meter;
 use super::ports::{self, ControlPorts, Request};
 use super::scheduler::Scheduler;
-use super::session::{self, SessionHandle};
+use super::session::{self, Account, SessionHandle};
 use super::store::Ledger;
 use super::{ServeError, ServerConfig, StopSignal};
 use crate::tasks::Registry;
@@ -33,12 +35,21 @@ pub(super) fn run(
     let ControlPorts { port, bell } = ControlPorts::open(node, epoch)?;
     let scheduler =
         Scheduler::new(config.threads).map_err(|error| ServeError::Threads(error.to_string()))?;
+    let meter = Arc::new(Meter::new(scheduler.clone(), config.threads, config.memory_bytes));
+    let exporter = config.metrics.map(|address| {
+        Exporter::start(address, Arc::clone(&meter))
+            .map_err(|source| ServeError::Metrics { address, source })
+    });
+    let exporter = exporter.transpose()?;
     let mut host = Host {
         desk: Desk::new(Arc::clone(&registry), config, epoch),
+        ledger: Arc::new(Ledger::new(config.memory_bytes)),
+        scheduler,
+        quota: config.client,
+        accounts: BTreeMap::new(),
         ground: Arc::new(session::Ground {
             registry,
-            scheduler,
-            ledger: Arc::new(Ledger::new(config.memory_bytes)),
+            meter,
             node: Arc::clone(node),
             epoch,
             idle_limit: config.idle_limit,
@@ -52,14 +63,11 @@ pub(super) fn run(
     let mut watch = Watch::new(config);
     let mut looked = Instant::now();
     ready();
-    tracing::info!(name = %config.name, pid = std::process::id(), threads = config.threads, "serving");
+    let metrics = exporter.as_ref().map(|exporter| exporter.address);
+    let (name, pid, threads) = (&config.name, std::process::id(), config.threads);
+    tracing::info!(%name, pid, threads, metrics = metrics.map(tracing::field::display), "serving");
     while !stop.is_set() {
-        // Every client that waits is answered once before anybody is answered twice.
-        let waiting: Vec<Request> =
-            std::iter::from_fn(|| port.receive().ok().flatten()).take(MAX_CLIENTS).collect();
-        for request in waiting {
-            host.answer(request);
-        }
+        host.answer_waiting(&port);
         if looked.elapsed() >= lease::INTERVAL {
             looked = Instant::now();
             host.sweep(&mut watch);
@@ -77,7 +85,7 @@ pub(super) fn run(
     if let Err(error) = lock.announce_end() {
         tracing::warn!(%error, "clients will take this for a crash");
     }
-    host.shut_down();
+    host.drain(&port, &bell, config.drain_limit);
     Ok(())
 }
 
@@ -85,6 +93,14 @@ pub(super) fn run(
 struct Host {
     desk: Desk,
     ground: Arc<session::Ground>,
+    /// The memory that all may take.
+    ledger: Arc<Ledger>,
+    /// The threads that step environments.
+    scheduler: Scheduler,
+    /// What one client may have of these.
+    quota: Quota,
+    /// What the clients that have sessions have of these, by process id.
+    accounts: BTreeMap<u32, Account>,
     sessions: BTreeMap<u64, SessionHandle>,
     /// Sessions that were closed and whose threads have not ended yet, or not been joined.
     ending: Vec<SessionHandle>,
@@ -94,20 +110,35 @@ struct Host {
 }
 
 impl Host {
+    /// Answers every client that waits once before anybody is answered twice.
+    fn answer_waiting(&mut self, port: &ports::Port) {
+        let waiting: Vec<Request> =
+            std::iter::from_fn(|| port.receive().ok().flatten()).take(MAX_CLIENTS).collect();
+        for request in waiting {
+            self.answer(request);
+        }
+    }
+
     fn answer(&mut self, request: Request) {
         // The client could still write to what it sent: judge a copy.
         let header = *request.user_header();
         let payload = request.payload().to_vec();
         let result = match self.judge(&header, &payload) {
             Answer::Reply(reply) => reply,
+            Answer::Open { .. } if self.stop.is_set() => ControlReply::Refused(Rejection::new(
+                Code::ShuttingDown,
+                "server",
+                &self.desk.info().name,
+                "it is ending; open the session in its successor",
+            )),
             Answer::Open { request: wanted, client, footprint } => {
                 self.opened += 1;
                 let id = self.opened;
-                let handle =
-                    session::open(Arc::clone(&self.ground), id, wanted, client, footprint, request);
+                let (ground, account) = (Arc::clone(&self.ground), self.account(&client));
+                let handle = session::open(ground, account, id, wanted, client, footprint, request);
                 if let Some(handle) = handle {
                     self.sessions.insert(id, handle);
-                    self.tell_the_ledger();
+                    self.take_stock();
                 }
                 // The session's own thread replies once everything is in place.
                 return;
@@ -127,23 +158,34 @@ impl Host {
             }
             Answer::Status => ControlReply::Status(self.status()),
             Answer::Shutdown => {
-                self.stop.set();
+                // A second time would be an order to hurry.
+                if !self.stop.is_set() {
+                    self.stop.set();
+                }
                 ControlReply::Done
             }
         };
+        if let ControlReply::Refused(refusal) = &result {
+            match control::decode(payload.get(..header.length as usize).unwrap_or_default()) {
+                Ok(ControlRequest::OpenSession { client, .. }) => {
+                    session::note_refusal(&self.ground.meter, client.pid, refusal);
+                }
+                _ => self.ground.meter.refused(refusal.code),
+            }
+        }
         ports::reply(&request, &result);
     }
 
     fn judge(&mut self, header: &Header, payload: &[u8]) -> Answer {
-        let answer = self.desk.judge(header, payload, self.used(), self.count());
+        let answer = self.desk.judge(header, payload, &self.usage());
         match &answer {
             // Sessions that are ending hold on to what they had for up to a tenth of a second.
             Answer::Reply(ControlReply::Refused(refusal))
                 if matches!(refusal.code, Code::MemoryBudget | Code::TooManySessions)
                     && !self.ending.is_empty() =>
             {
-                self.ending.drain(..).for_each(SessionHandle::join);
-                self.desk.judge(header, payload, self.used(), self.count())
+                self.ending.drain(..).for_each(|handle| handle.join(&self.ground.meter));
+                self.desk.judge(header, payload, &self.usage())
             }
             _ => answer,
         }
@@ -153,8 +195,9 @@ impl Host {
         match self.sessions.entry(session) {
             Entry::Occupied(entry) if entry.get().client().node == node => {
                 let handle = entry.remove();
-                handle.stop();
+                handle.stop("closed");
                 self.ending.push(handle);
+                self.take_stock();
                 ControlReply::Done
             }
             _ => ControlReply::Refused(no_session(session)),
@@ -174,47 +217,105 @@ impl Host {
             let alive = census.has(handle.client().node);
             if !alive {
                 tracing::info!(session = id, pid = handle.client().pid, "client is gone");
-                handle.stop();
+                handle.stop("reclaimed");
             }
             !alive || handle.has_ended()
         });
         self.ending.extend(over.map(|(_, handle)| handle));
-        self.ending.extract_if(.., |handle| handle.has_ended()).for_each(SessionHandle::join);
-        self.tell_the_ledger();
+        let ended = self.ending.extract_if(.., |handle| handle.has_ended());
+        ended.for_each(|handle| handle.join(&self.ground.meter));
+        self.take_stock();
         if census.deaths {
             self.ground.node.try_cleanup_dead_nodes();
         }
         if let Some(why) = watch.verdict(census.clients()) {
             tracing::info!(why, "the server ends");
-            self.stop.set();
+            if !self.stop.is_set() {
+                self.stop.set();
+            }
         }
     }
 
-    fn shut_down(self) {
-        for handle in self.sessions.values() {
-            handle.stop();
+    /// Lets sessions answer what they were asked, for at most `limit` and unless that is cut short;
+    /// answers control messages meanwhile. Sessions that take longer are left behind.
+    fn drain(mut self, port: &ports::Port, bell: &ports::Bell, limit: Duration) {
+        let start = Instant::now();
+        self.sessions.values().for_each(SessionHandle::finish);
+        while self.sessions.values().any(|handle| !handle.has_ended()) {
+            if self.stop.is_urgent() || start.elapsed() > limit {
+                break;
+            }
+            self.answer_waiting(port);
+            bell.timed_wait(|_| {}, Duration::from_millis(2)).ok();
         }
-        // Whatever they still create in shared memory must be there before it is removed.
-        self.sessions.into_values().chain(self.ending).for_each(SessionHandle::join);
+        let sessions = std::mem::take(&mut self.sessions);
+        for (id, handle) in sessions {
+            if !handle.has_ended() {
+                tracing::warn!(session = id, "left behind: it has not answered yet");
+                handle.stop("shutdown");
+                continue;
+            }
+            // Whatever it created in shared memory must be there before it is removed.
+            handle.join(&self.ground.meter);
+        }
+        self.ending
+            .drain(..)
+            .filter(SessionHandle::has_ended)
+            .for_each(|handle| handle.join(&self.ground.meter));
     }
 
     fn used(&self) -> Footprint {
         let Footprint { shared, private } = self.used_by_sessions();
-        Footprint { shared, private: private + self.ground.ledger.snapshots() }
+        Footprint { shared, private: private + self.ledger.snapshots() }
     }
 
     fn used_by_sessions(&self) -> Footprint {
         self.sessions.values().chain(&self.ending).map(SessionHandle::footprint).sum()
     }
 
-    /// Lets sessions know how much is left for their snapshots. One that is taken in just this
-    /// moment may exceed the budget by what the session that is being opened takes.
-    fn tell_the_ledger(&self) {
-        self.ground.ledger.set_sessions(self.used_by_sessions().total());
+    /// What sessions take; to their clients, those that are ending are gone.
+    fn usage(&self) -> Usage {
+        let mut clients: BTreeMap<u32, Holding> = BTreeMap::new();
+        for session in self.sessions.values() {
+            let holding = clients.entry(session.client().pid).or_default();
+            holding.sessions += 1;
+            holding.envs += u64::from(session.envs());
+            holding.memory_bytes += session.footprint().total();
+        }
+        for (pid, holding) in &mut clients {
+            holding.memory_bytes +=
+                self.accounts.get(pid).map_or(0, |account| account.ledger.snapshots());
+        }
+        Usage { memory: self.used(), sessions: self.sessions.len() + self.ending.len(), clients }
     }
 
-    fn count(&self) -> usize {
-        self.sessions.len() + self.ending.len()
+    /// The account of a client, new where it has no session.
+    fn account(&mut self, client: &ClientInfo) -> Account {
+        let new = || Account {
+            ledger: Arc::new(self.ledger.of_client(self.quota.memory_bytes)),
+            scheduler: self.scheduler.limited(self.quota.threads),
+        };
+        self.accounts.entry(client.pid).or_insert_with(new).clone()
+    }
+
+    /// Lets sessions know how much is left for their snapshots, and Prometheus what there is. A
+    /// snapshot that is taken in just this moment may exceed the budget by what the session that is
+    /// being opened takes.
+    fn take_stock(&mut self) {
+        self.ledger.set_sessions(self.used_by_sessions().total());
+        let mut held: BTreeMap<u32, u64> = BTreeMap::new();
+        for session in self.sessions.values() {
+            *held.entry(session.client().pid).or_default() += session.footprint().total();
+        }
+        self.accounts.retain(|pid, _| held.contains_key(pid));
+        for (pid, account) in &self.accounts {
+            account.ledger.set_sessions(held[pid]);
+        }
+        let meter = &self.ground.meter;
+        meter.clients.set(held.len() as i64);
+        meter.sessions.set(self.sessions.len() as i64);
+        meter.envs.set(self.sessions.values().map(|session| i64::from(session.envs())).sum());
+        meter.memory.set(self.used().total() as i64);
     }
 
     fn status(&self) -> ServerStatus {

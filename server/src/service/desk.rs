@@ -1,6 +1,7 @@
 //! What a control message means, without any transport: every byte that a client can send on the
 //! control service is judged here, so this is what the fuzz tests attack.
 
+use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use trocar_proto::control::{
@@ -95,6 +96,91 @@ impl std::iter::Sum for Footprint {
     }
 }
 
+/// What a server's sessions take.
+#[derive(Debug, Clone, Default)]
+pub struct Usage {
+    /// Memory of all of them and of their snapshots.
+    pub memory: Footprint,
+    /// How many there are.
+    pub sessions: usize,
+    /// What those of each client take, by process id.
+    pub clients: BTreeMap<u32, Holding>,
+}
+
+/// What one client has.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct Holding {
+    /// Number of sessions.
+    pub sessions: usize,
+    /// Environments of all of them.
+    pub envs: u64,
+    /// Memory of them and their snapshots, bytes.
+    pub memory_bytes: u64,
+}
+
+/// What one client, a process, may have. [`Self::default`] limits nothing.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Quota {
+    /// Most sessions at a time.
+    pub sessions: usize,
+    /// Most environments of all its sessions.
+    pub envs: u64,
+    /// Most memory of its sessions and their snapshots, bytes.
+    pub memory_bytes: u64,
+    /// Most threads that step its environments at a time.
+    pub threads: usize,
+}
+
+impl Default for Quota {
+    fn default() -> Self {
+        Self { sessions: usize::MAX, envs: u64::MAX, memory_bytes: u64::MAX, threads: usize::MAX }
+    }
+}
+
+impl Quota {
+    /// Whether process `pid`, which has `held`, may have `envs` environments more in a session of
+    /// `bytes` bytes.
+    fn check(&self, pid: u32, held: Holding, envs: u32, bytes: u64) -> Result<(), Rejection> {
+        if held.sessions >= self.sessions {
+            return Err(Rejection::new(
+                Code::TooManySessions,
+                "sessions",
+                held.sessions + 1,
+                format!(
+                    "process {pid} may have {} at a time (serve --client-sessions)",
+                    self.sessions
+                ),
+            ));
+        }
+        if held.envs + u64::from(envs) > self.envs {
+            return Err(Rejection::new(
+                Code::InvalidEnvCount,
+                "envs",
+                envs,
+                format!(
+                    "process {pid} has {} of the {} that it may have (serve --client-envs)",
+                    held.envs, self.envs
+                ),
+            ));
+        }
+        if held.memory_bytes.saturating_add(bytes) > self.memory_bytes {
+            return Err(Rejection::new(
+                Code::MemoryBudget,
+                "envs",
+                envs,
+                format!(
+                    "they need {}, and process {pid} has {} of the {} that it may have (serve \
+                     --client-memory)",
+                    mebibytes(bytes),
+                    mebibytes(held.memory_bytes),
+                    mebibytes(self.memory_bytes)
+                ),
+            ));
+        }
+        Ok(())
+    }
+}
+
 /// Judges control messages.
 #[derive(Clone)]
 pub struct Desk {
@@ -102,6 +188,7 @@ pub struct Desk {
     info: ServerInfo,
     endpoint: Endpoint,
     budget: u64,
+    quota: Quota,
 }
 
 impl Desk {
@@ -115,7 +202,8 @@ impl Desk {
             max_envs: config.max_envs,
         };
         let endpoint = Endpoint::new(&config.name);
-        Self { registry, info, endpoint, budget: config.memory_bytes }
+        let (budget, quota) = (config.memory_bytes, config.client);
+        Self { registry, info, endpoint, budget, quota }
     }
 
     /// The server, as it introduces itself.
@@ -123,16 +211,9 @@ impl Desk {
         &self.info
     }
 
-    /// What to do about a message. `used` is the memory that open sessions are counted with,
-    /// `sessions` their number.
-    pub fn judge(
-        &self,
-        header: &Header,
-        payload: &[u8],
-        used: Footprint,
-        sessions: usize,
-    ) -> Answer {
-        match self.try_judge(header, payload, used, sessions) {
+    /// What to do about a message, where open sessions take `usage`.
+    pub fn judge(&self, header: &Header, payload: &[u8], usage: &Usage) -> Answer {
+        match self.try_judge(header, payload, usage) {
             Ok(answer) => answer,
             Err(refusal) => Answer::Reply(ControlReply::Refused(refusal)),
         }
@@ -142,8 +223,7 @@ impl Desk {
         &self,
         header: &Header,
         payload: &[u8],
-        used: Footprint,
-        sessions: usize,
+        usage: &Usage,
     ) -> Result<Answer, Rejection> {
         check_header(header)?;
         let Some(body) = payload.get(..header.length as usize) else {
@@ -173,7 +253,7 @@ impl Desk {
                 Answer::Reply(ControlReply::Task(self.registry.spec(&task, &options)?))
             }
             ControlRequest::OpenSession { request, client } => {
-                let footprint = self.check_session(&request, used, sessions)?;
+                let footprint = self.check_session(&request, client.pid, usage)?;
                 Answer::Open { request, client, footprint }
             }
             ControlRequest::CloseSession { session, node } => Answer::Close { session, node },
@@ -195,9 +275,10 @@ impl Desk {
     fn check_session(
         &self,
         request: &SessionRequest,
-        used: Footprint,
-        sessions: usize,
+        pid: u32,
+        usage: &Usage,
     ) -> Result<Footprint, Rejection> {
+        let (used, sessions) = (usage.memory, usage.sessions);
         let spec = self.registry.spec(&request.task, &request.options)?;
         if !(1..=self.info.max_envs).contains(&request.envs) {
             return Err(Rejection::new(
@@ -219,6 +300,8 @@ impl Desk {
             shared: shared_bytes(request.envs as usize, &spec),
             private: u64::from(request.envs) * Env::MEMORY_BYTES,
         };
+        let held = usage.clients.get(&pid).copied().unwrap_or_default();
+        self.quota.check(pid, held, request.envs, footprint.total())?;
         if used.total() + footprint.total() > self.budget {
             return Err(Rejection::new(
                 Code::MemoryBudget,
@@ -320,6 +403,11 @@ pub(super) fn check_config(config: &ServerConfig) -> Result<(), ServeError> {
     check("--max-envs", config.max_envs.into(), 1..=65_536)?;
     check("--memory", config.memory_bytes, 1 << 20..=1 << 50)?;
     check("--idle-limit", config.idle_limit.as_secs(), 1..=u64::from(u32::MAX))?;
+    check("--drain-limit", config.drain_limit.as_secs(), 0..=u64::from(u32::MAX))?;
+    check("--client-sessions", config.client.sessions as u64, 1..=u64::MAX)?;
+    check("--client-envs", config.client.envs, 1..=u64::MAX)?;
+    check("--client-memory", config.client.memory_bytes, 1 << 20..=u64::MAX)?;
+    check("--client-threads", config.client.threads as u64, 1..=u64::MAX)?;
     Ok(())
 }
 

@@ -5,6 +5,7 @@
 //! | [`mod@self`] | [`serve`]: the life of a server, from its lock to its last file |
 //! | `control.rs` | the control loop: rare messages, opening and closing sessions |
 //! | `desk.rs` | what a control message means, without any transport |
+//! | `meter.rs`, `exporter.rs` | what is counted, and Prometheus, who asks for it |
 //! | `lease.rs` | who is alive: reclaims what dead clients leave |
 //! | `session.rs` | one thread per session: waits for requests, answers them |
 //! | `batch.rs` | the environments of a session: reset, step, autoreset |
@@ -14,12 +15,15 @@
 //! | `scheduler.rs` | turns: which session's environments run on which threads |
 //!
 //! Every session has its own data service, thread and environments, so a slow session never holds
-//! up a fast one; the scheduler hands out turns of about a millisecond in order of arrival.
+//! up a fast one; the scheduler hands out turns of about a millisecond, the next one to whoever has
+//! had the threads for the least time.
 
 mod batch;
 mod control;
 mod desk;
+mod exporter;
 mod lease;
+mod meter;
 mod ports;
 mod rows;
 mod scheduler;
@@ -27,8 +31,9 @@ mod session;
 mod store;
 
 use std::io;
+use std::net::SocketAddr;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::{AtomicU8, Ordering};
 use std::time::{Duration, Instant};
 
 use trocar_proto::endpoint::{Endpoint, Membership, ServerLock, ServerName, ServerState};
@@ -36,9 +41,10 @@ use trocar_proto::{Code, Rejection};
 
 use crate::tasks::Registry;
 
-pub use desk::{Answer, Desk, Footprint};
+pub use desk::{Answer, Desk, Footprint, Holding, Quota, Usage};
 
-/// How long a server that is ending may take before its name is said to be in use.
+/// How long a server that is ending may take before its name is said to be in use: its drain limit,
+/// unless that is unusual, and some more.
 const ENDING: Duration = Duration::from_secs(10);
 
 /// How a server is set up. [`Self::new`] gives the defaults.
@@ -52,8 +58,14 @@ pub struct ServerConfig {
     pub max_envs: u32,
     /// Memory that all sessions together may take, bytes.
     pub memory_bytes: u64,
+    /// What one client may have of all that.
+    pub client: Quota,
     /// A session that sends nothing for so long is closed.
     pub idle_limit: Duration,
+    /// How long steps in progress may take when the server ends.
+    pub drain_limit: Duration,
+    /// Where Prometheus may ask for metrics over HTTP; port 0 is one that is free.
+    pub metrics: Option<SocketAddr>,
     /// The process whose end ends the server.
     pub follow: Option<u32>,
     /// How long the server outlives its last client; for ever if `None`.
@@ -61,14 +73,17 @@ pub struct ServerConfig {
 }
 
 impl ServerConfig {
-    /// The defaults: one thread per core, 4096 environments, 1 GiB, one hour.
+    /// The defaults: one thread per core, 4096 environments, 1 GiB, one hour; 5 s to end.
     pub fn new(name: ServerName) -> Self {
         Self {
             name,
             threads: std::thread::available_parallelism().map_or(1, usize::from),
             max_envs: 4096,
             memory_bytes: 1 << 30,
+            client: Quota::default(),
             idle_limit: Duration::from_hours(1),
+            drain_limit: Duration::from_secs(5),
+            metrics: None,
             follow: None,
             linger: None,
         }
@@ -77,17 +92,25 @@ impl ServerConfig {
 
 /// Asks a server to end; may be set from a signal handler.
 #[derive(Debug, Clone, Default)]
-pub struct StopSignal(Arc<AtomicBool>);
+pub struct StopSignal(Arc<AtomicU8>);
 
 impl StopSignal {
-    /// Asks the server to end; it does within a fraction of a second.
+    /// Asks the server to end: it answers what it was asked, which takes as long as steps in
+    /// progress do, but no longer than [`ServerConfig::drain_limit`]. Asked once more, it does not
+    /// wait for them.
     pub fn set(&self) {
-        self.0.store(true, Ordering::Release);
+        let once_more = |times: u8| Some(times.saturating_add(1));
+        self.0.fetch_update(Ordering::AcqRel, Ordering::Acquire, once_more).ok();
     }
 
     /// Whether the server was asked to end.
     pub fn is_set(&self) -> bool {
-        self.0.load(Ordering::Acquire)
+        self.0.load(Ordering::Acquire) > 0
+    }
+
+    /// Whether it was asked more than once.
+    pub fn is_urgent(&self) -> bool {
+        self.0.load(Ordering::Acquire) > 1
     }
 }
 
@@ -112,6 +135,14 @@ pub enum ServeError {
     Folder {
         /// The server's folder.
         path: String,
+        /// What failed.
+        source: io::Error,
+    },
+    /// Nobody can listen where metrics were to be had.
+    #[error("--metrics {address}: {source}")]
+    Metrics {
+        /// Where that was.
+        address: SocketAddr,
         /// What failed.
         source: io::Error,
     },
@@ -158,7 +189,8 @@ fn take_lock(membership: &Membership, epoch: u64) -> io::Result<Result<ServerLoc
     let start = Instant::now();
     loop {
         let taken = membership.become_server(epoch)?;
-        let ending = matches!(membership.endpoint().server_state(), ServerState::Closed { .. });
+        let state = membership.endpoint().server_state();
+        let ending = matches!(state, ServerState::Ending { .. } | ServerState::Closed { .. });
         if taken.is_ok() || !ending || start.elapsed() > ENDING {
             return Ok(taken);
         }

@@ -15,7 +15,11 @@ use super::internal;
 /// A request that waits for its reply.
 pub(super) type Request = ActiveRequest<Transport, [u8], Header, [u8], Header>;
 
-type Port = ServerPort<Transport, [u8], Header, [u8], Header>;
+/// Where requests arrive.
+pub(super) type Port = ServerPort<Transport, [u8], Header, [u8], Header>;
+
+/// What tells that some arrived.
+pub(super) type Bell = Listener<Transport>;
 
 /// Where control messages arrive.
 pub(super) struct ControlPorts {

@@ -1,11 +1,12 @@
 //! Turns: which session's environments run on which threads.
 //!
 //! A session asks for a turn, runs a slice of its environments for about a millisecond, and asks
-//! again. Turns go in order of arrival, so sessions share the threads evenly whatever their size;
-//! a session that finds idle threads uses them too. None of this changes any result.
+//! again. The next turn is for whoever has had the threads for the least time, and idle time saves
+//! nothing up (start-time fair queueing, Goyal et al. 1996). So sessions share the threads evenly
+//! whatever their size, and one that needs less than its share hardly waits. A session that finds idle
+//! threads uses them too. None of this changes any result.
 
-use std::collections::VecDeque;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread::Thread;
 use std::time::{Duration, Instant};
@@ -26,22 +27,55 @@ pub(crate) trait Divisible: Send + Sized {
     fn run(self);
 }
 
-/// The threads that step environments, and who may use them.
-#[derive(Debug)]
+/// The threads that step environments, and how many of them its user may have at a time. Clones
+/// have that share together, and their time counts together.
+#[derive(Debug, Clone)]
 pub(crate) struct Scheduler {
+    threads: Arc<Threads>,
+    share: Arc<Share>,
+    /// Time for which threads were taken, on the clock of [`Turns`], ns.
+    spent: Arc<AtomicU64>,
+}
+
+#[derive(Debug)]
+struct Threads {
     pool: rayon::ThreadPool,
     turns: Mutex<Turns>,
+    /// Time for which threads were taken, all together, ns.
+    busy: AtomicU64,
 }
 
 #[derive(Debug)]
 struct Turns {
     free: usize,
-    waiting: VecDeque<Arc<Waiter>>,
+    /// In order of arrival.
+    waiting: Vec<Arc<Waiter>>,
+    /// What the one who had the latest turn had spent before it, ns.
+    clock: u64,
+}
+
+/// How many threads somebody may have, and has. Read and written under the lock of [`Turns`].
+#[derive(Debug)]
+struct Share {
+    limit: usize,
+    taken: AtomicUsize,
+}
+
+impl Share {
+    fn new(limit: usize) -> Arc<Self> {
+        Arc::new(Self { limit, taken: AtomicUsize::new(0) })
+    }
+
+    fn left(&self) -> usize {
+        self.limit.saturating_sub(self.taken.load(Ordering::Relaxed))
+    }
 }
 
 #[derive(Debug)]
 struct Waiter {
     thread: Thread,
+    share: Arc<Share>,
+    spent: u64,
     called: AtomicBool,
 }
 
@@ -52,8 +86,25 @@ impl Scheduler {
             .num_threads(threads)
             .thread_name(|index| format!("trocar-step-{index}"))
             .build()?;
-        let turns = Mutex::new(Turns { free: threads, waiting: VecDeque::new() });
-        Ok(Self { pool, turns })
+        let turns = Mutex::new(Turns { free: threads, waiting: vec![], clock: 0 });
+        let threads = Threads { pool, turns, busy: AtomicU64::new(0) };
+        let (threads, share) = (Arc::new(threads), Share::new(usize::MAX));
+        Ok(Self { threads, share, spent: Arc::default() })
+    }
+
+    /// The same threads, of which this one and its clones may have at most `limit` at a time.
+    pub(crate) fn limited(&self, limit: usize) -> Self {
+        Self { share: Share::new(limit), ..self.separate() }
+    }
+
+    /// The same threads and share, for somebody whose time counts separately.
+    pub(crate) fn separate(&self) -> Self {
+        Self { spent: Arc::default(), ..self.clone() }
+    }
+
+    /// Time for which threads were taken, all together.
+    pub(crate) fn busy(&self) -> Duration {
+        Duration::from_nanos(self.threads.busy.load(Ordering::Relaxed))
     }
 
     /// Does `work`, turn by turn. `cost` is the time one piece is expected to take; it is updated
@@ -73,9 +124,12 @@ impl Scheduler {
             if threads == 1 {
                 now.run();
             } else {
-                self.pool.install(|| run_on(now, threads));
+                self.threads.pool.install(|| run_on(now, threads));
             }
-            let measured = start.elapsed() * threads as u32 / count as u32;
+            let taken = start.elapsed() * threads as u32;
+            self.threads.busy.fetch_add(taken.as_nanos() as u64, Ordering::Relaxed);
+            self.spent.fetch_add(taken.as_nanos() as u64, Ordering::Relaxed);
+            let measured = taken / count as u32;
             *cost = (*cost + measured) / 2;
         }
     }
@@ -88,36 +142,49 @@ impl Scheduler {
     /// Waits for a thread, then takes up to `most` that are idle.
     fn acquire(&self, most: usize) -> Turn<'_> {
         let mut turns = self.lock();
-        if turns.free == 0 || !turns.waiting.is_empty() {
-            let waiter =
-                Arc::new(Waiter { thread: std::thread::current(), called: AtomicBool::new(false) });
-            turns.waiting.push_back(Arc::clone(&waiter));
+        let spent = self.spent.fetch_max(turns.clock, Ordering::Relaxed).max(turns.clock);
+        // Whoever waits while threads are free has taken all of its share.
+        let threads = turns.free.min(most).min(self.share.left());
+        if threads == 0 {
+            let waiter = Arc::new(Waiter {
+                thread: std::thread::current(),
+                share: Arc::clone(&self.share),
+                spent,
+                called: AtomicBool::new(false),
+            });
+            turns.waiting.push(Arc::clone(&waiter));
             drop(turns);
             while !waiter.called.load(Ordering::Acquire) {
                 std::thread::park();
             }
             return Turn { scheduler: self, threads: 1 };
         }
-        let threads = turns.free.min(most);
         turns.free -= threads;
+        turns.clock = spent;
+        self.share.taken.fetch_add(threads, Ordering::Relaxed);
         Turn { scheduler: self, threads }
     }
 
     fn release(&self, count: usize) {
         let mut turns = self.lock();
-        for _ in 0..count {
-            if let Some(waiter) = turns.waiting.pop_front() {
-                waiter.called.store(true, Ordering::Release);
-                waiter.thread.unpark();
-            } else {
-                turns.free += 1;
-            }
+        turns.free += count;
+        self.share.taken.fetch_sub(count, Ordering::Relaxed);
+        while turns.free > 0 {
+            let waiting = turns.waiting.iter().enumerate();
+            let may_run = waiting.filter(|(_, waiter)| waiter.share.left() > 0);
+            let Some((next, _)) = may_run.min_by_key(|(_, waiter)| waiter.spent) else { break };
+            let waiter = turns.waiting.remove(next);
+            turns.free -= 1;
+            turns.clock = turns.clock.max(waiter.spent);
+            waiter.share.taken.fetch_add(1, Ordering::Relaxed);
+            waiter.called.store(true, Ordering::Release);
+            waiter.thread.unpark();
         }
     }
 
     fn lock(&self) -> MutexGuard<'_, Turns> {
         // The guarded numbers are consistent after every statement, panic or not.
-        self.turns.lock().unwrap_or_else(PoisonError::into_inner)
+        self.threads.turns.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
@@ -202,6 +269,71 @@ mod tests {
             assert!(std::panic::catch_unwind(std::panic::AssertUnwindSafe(work)).is_err());
             assert_eq!(scheduler.lock().free, 2);
         }
+    }
+
+    #[test]
+    fn who_had_the_threads_for_less_time_comes_first_and_idle_time_saves_nothing_up() {
+        let scheduler = Scheduler::new(1).unwrap();
+        let [heavy, light, idle] = [30, 20, 0].map(|spent| {
+            let user = scheduler.separate();
+            user.spent.store(spent, Ordering::Relaxed);
+            user
+        });
+        let running = scheduler.separate();
+        running.spent.store(10, Ordering::Relaxed);
+        let turn = running.acquire(1);
+        let order = Mutex::new(vec![]);
+        std::thread::scope(|scope| {
+            for (count, (user, name)) in
+                [(&heavy, "heavy"), (&light, "light"), (&idle, "idle")].into_iter().enumerate()
+            {
+                let order = &order;
+                scope.spawn(move || {
+                    let turn = user.acquire(1);
+                    order.lock().unwrap().push(name);
+                    drop(turn);
+                });
+                while scheduler.lock().waiting.len() <= count {
+                    std::thread::yield_now();
+                }
+            }
+            drop(turn);
+        });
+        assert_eq!(*order.lock().unwrap(), ["idle", "light", "heavy"]);
+        assert_eq!(idle.spent.load(Ordering::Relaxed), 10);
+        assert_eq!(scheduler.lock().clock, 30);
+    }
+
+    #[test]
+    fn a_share_is_not_exceeded_and_the_rest_is_for_others() {
+        let scheduler = Scheduler::new(3).unwrap();
+        let small = scheduler.limited(1);
+        let (running, most) = (AtomicUsize::new(0), AtomicUsize::new(0));
+        let (free, most_free) = (AtomicUsize::new(0), AtomicUsize::new(0));
+        let mut cells = vec![vec![0; 129]; 4];
+        let mut others = vec![vec![0; 129]; 4];
+        std::thread::scope(|scope| {
+            for cells in &mut cells {
+                let (small, running, most) = (small.clone(), &running, &most);
+                scope.spawn(move || {
+                    let mut cost = Duration::from_micros(100);
+                    small.run(Count { cells, running, most }, &mut cost);
+                });
+            }
+            for cells in &mut others {
+                let (scheduler, free, most_free) = (&scheduler, &free, &most_free);
+                scope.spawn(move || {
+                    let mut cost = Duration::from_micros(100);
+                    scheduler.run(Count { cells, running: free, most: most_free }, &mut cost);
+                });
+            }
+        });
+        assert!(cells.iter().chain(&others).flatten().all(|cell| *cell == 1));
+        assert_eq!(most.into_inner(), 1);
+        assert!(most_free.into_inner() <= 3);
+        assert_eq!(scheduler.lock().free, 3);
+        assert_eq!((small.share.left(), scheduler.share.left()), (1, usize::MAX));
+        assert!(scheduler.busy() > Duration::ZERO);
     }
 
     #[test]

@@ -2,22 +2,23 @@
 
 use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 use hdrhistogram::Histogram;
 use iceoryx2::prelude::EventId;
 use trocar_proto::control::{
-    self, ClientInfo, ControlReply, SessionInfo, SessionRequest, SessionStatus,
+    self, Autoreset, ClientInfo, ControlReply, SessionInfo, SessionRequest, SessionStatus,
 };
 use trocar_proto::endpoint::Node;
-use trocar_proto::wire::{Header, ReplyLayout, RequestLayout, flag, kind};
+use trocar_proto::wire::{Header, MAX_IN_FLIGHT, ReplyLayout, RequestLayout, flag, kind};
 use trocar_proto::{Code, Rejection};
 
 use super::batch::{self, Batch, Deed};
 use super::desk::{self, Footprint};
 use super::internal;
+use super::meter::{Meter, TaskMeter};
 use super::ports::{self, DataPorts, Request};
 use super::rows::Rows;
 use super::scheduler::Scheduler;
@@ -35,11 +36,19 @@ const OFFER: Duration = Duration::from_micros(20);
 /// What all sessions of a server share.
 pub(super) struct Ground {
     pub(super) registry: Arc<Registry>,
-    pub(super) scheduler: Scheduler,
-    pub(super) ledger: Arc<Ledger>,
+    pub(super) meter: Arc<Meter>,
     pub(super) node: Arc<Node>,
     pub(super) epoch: u64,
     pub(super) idle_limit: Duration,
+}
+
+/// What all sessions of a client have together.
+#[derive(Clone)]
+pub(super) struct Account {
+    /// The memory that they may take.
+    pub(super) ledger: Arc<Ledger>,
+    /// The threads that they may have.
+    pub(super) scheduler: Scheduler,
 }
 
 /// A session as the control loop sees it.
@@ -55,6 +64,10 @@ struct Shared {
     task: String,
     envs: u32,
     stop: AtomicBool,
+    /// What arrived is still to be answered, and nothing more.
+    finish: AtomicBool,
+    /// Why it ends, where it is told to.
+    reason: OnceLock<&'static str>,
     pace: Mutex<Pace>,
     /// `None` until the session is open.
     store: Mutex<Option<Store>>,
@@ -84,10 +97,18 @@ struct Pace {
     steps_per_second: f64,
 }
 
+/// Counts a session that is refused, and says so in the log.
+pub(super) fn note_refusal(meter: &Meter, pid: u32, refusal: &Rejection) {
+    meter.refused(refusal.code);
+    let Rejection { code, field, value, allowed } = refusal;
+    tracing::info!(pid, ?code, field, value, allowed, "session refused");
+}
+
 /// Opens a session on a thread of its own, which answers `request` when all is in place, or says
 /// why not.
 pub(super) fn open(
     ground: Arc<Ground>,
+    account: Account,
     id: u64,
     wanted: SessionRequest,
     client: ClientInfo,
@@ -100,28 +121,36 @@ pub(super) fn open(
         task: wanted.task.clone(),
         envs: wanted.envs,
         stop: AtomicBool::new(false),
+        finish: AtomicBool::new(false),
+        reason: OnceLock::new(),
         pace: Mutex::new(Pace::new()),
         store: Mutex::new(None),
     });
+    let meter = Arc::clone(&ground.meter);
     // If the thread cannot be started, the request goes back with it and the client is told.
     let parcel = Arc::new(Mutex::new(Some((wanted, request))));
     let (inner, in_thread) = (Arc::clone(&shared), Arc::clone(&parcel));
+    let pid = shared.client.pid;
     let thread = std::thread::Builder::new().name(format!("trocar-{id}")).spawn(move || {
         let parcel = in_thread.lock().unwrap_or_else(PoisonError::into_inner).take();
         let Some((wanted, request)) = parcel else { return };
-        match Session::open(ground, inner, &wanted) {
+        match Session::open(Arc::clone(&ground), account, inner, &wanted) {
             Ok((session, info)) => {
                 ports::reply(&request, &ControlReply::Opened(info));
                 drop(request);
                 session.run();
             }
-            Err(refusal) => ports::reply(&request, &ControlReply::Refused(refusal)),
+            Err(refusal) => {
+                note_refusal(&ground.meter, pid, &refusal);
+                ports::reply(&request, &ControlReply::Refused(refusal));
+            }
         }
     });
     match thread {
         Ok(thread) => Some(SessionHandle { shared, thread, footprint }),
         Err(error) => {
             let refusal = internal("thread")(error);
+            note_refusal(&meter, pid, &refusal);
             if let Some((_, request)) = parcel.lock().unwrap_or_else(PoisonError::into_inner).take()
             {
                 ports::reply(&request, &ControlReply::Refused(refusal));
@@ -160,17 +189,29 @@ impl SessionHandle {
         self.shared.with_store(|store| store.import(bytes))
     }
 
+    pub(super) fn envs(&self) -> u32 {
+        self.shared.envs
+    }
+
     /// Asks the session to end.
-    pub(super) fn stop(&self) {
+    pub(super) fn stop(&self, reason: &'static str) {
+        self.shared.reason.set(reason).ok();
         self.shared.stop.store(true, Ordering::Release);
+    }
+
+    /// Asks the session to end once it has answered what it was asked.
+    pub(super) fn finish(&self) {
+        self.shared.reason.set("shutdown").ok();
+        self.shared.finish.store(true, Ordering::Release);
     }
 
     pub(super) fn has_ended(&self) -> bool {
         self.thread.is_finished()
     }
 
-    pub(super) fn join(self) {
+    pub(super) fn join(self, meter: &Meter) {
         if self.thread.join().is_err() {
+            meter.closed("failed");
             tracing::error!(session = self.shared.id, "a session's thread panicked");
         }
     }
@@ -194,7 +235,11 @@ impl SessionHandle {
 struct Session {
     ground: Arc<Ground>,
     shared: Arc<Shared>,
+    scheduler: Scheduler,
+    meter: TaskMeter,
     batch: Batch,
+    /// Whether the step after an episode's end resets instead of stepping.
+    next_step: bool,
     request_layout: RequestLayout,
     reply_layout: ReplyLayout,
     ports: DataPorts,
@@ -213,6 +258,7 @@ struct Inbox {
 impl Session {
     fn open(
         ground: Arc<Ground>,
+        account: Account,
         shared: Arc<Shared>,
         wanted: &SessionRequest,
     ) -> Result<(Self, SessionInfo), Rejection> {
@@ -223,8 +269,13 @@ impl Session {
         let reply_layout = ReplyLayout::new(envs, spec);
         let (epoch, id) = (ground.epoch, shared.id);
         let info = SessionInfo { session: id, epoch, envs: wanted.envs, spec: (**spec).clone() };
-        let store = Store::new(Arc::clone(&ground.ledger), batch.like().identity());
+        let store = Store::new(account.ledger, batch.like().identity());
         *shared.store.lock().unwrap_or_else(PoisonError::into_inner) = Some(store);
+        // Starts may have taken long, and nothing may be put where the server has cleared away.
+        if shared.stop.load(Ordering::Acquire) {
+            let why = "the session is being closed";
+            return Err(Rejection::new(Code::UnknownSession, "session", id, why));
+        }
         let ports = DataPorts::open(&ground.node, epoch, id, reply_layout.bytes)?;
         let session = Self {
             ports,
@@ -233,6 +284,9 @@ impl Session {
                 actions: vec![0.0; envs * action_dim],
                 numbers: vec![0; envs],
             },
+            meter: ground.meter.task(&shared.task),
+            scheduler: account.scheduler.separate(),
+            next_step: wanted.autoreset == Autoreset::NextStep,
             ground,
             shared,
             batch,
@@ -243,38 +297,59 @@ impl Session {
     }
 
     fn run(mut self) {
-        let (id, task, envs) = (self.shared.id, self.shared.task.clone(), self.shared.envs);
-        tracing::debug!(session = id, task, envs, pid = self.shared.client.pid, "session opened");
+        let Shared { id, task, envs, client, .. } = &*Arc::clone(&self.shared);
+        let (id, pid, opened) = (*id, client.pid, Instant::now());
+        let language = client.language.as_str();
+        tracing::info!(session = id, pid, language, task, envs, "session opened");
+        self.ground.meter.opened();
+        let steps = self.answer_all();
+        let reason = self.shared.reason.get().copied().unwrap_or("idle");
+        self.ground.meter.closed(reason);
+        let seconds = opened.elapsed().as_secs_f64();
+        tracing::info!(session = id, pid, task, envs, reason, steps, seconds, "session closed");
+    }
+
+    /// Answers requests until the session ends; returns how many steps environments took.
+    fn answer_all(&mut self) -> u64 {
         let mut active = Instant::now();
-        while !self.shared.stop.load(Ordering::Acquire) {
+        let mut total = 0;
+        // Requests that a client may have had in flight when its server was told to end.
+        let mut left = MAX_IN_FLIGHT;
+        while !self.shared.stop.load(Ordering::Acquire) && left > 0 {
+            // Asked before a request is looked for: what arrived by then is answered.
+            let finish = self.shared.finish.load(Ordering::Acquire);
             match self.ports.port.receive() {
                 Ok(Some(request)) => {
                     let start = Instant::now();
                     let steps = self.answer(&request);
                     self.note(start, steps);
+                    total += steps;
                     active = Instant::now();
+                    left -= usize::from(finish);
                 }
-                Ok(None) if active.elapsed() < OFFER && !self.ground.scheduler.is_busy() => {
+                Ok(None) if finish => break,
+                Ok(None) if active.elapsed() < OFFER && !self.scheduler.is_busy() => {
                     std::thread::yield_now();
                 }
                 Ok(None) => {
                     if active.elapsed() > self.ground.idle_limit {
-                        tracing::info!(session = id, "closed at the idle limit");
-                        return;
+                        break;
                     }
                     self.ports.bell.timed_wait(|_| {}, SLICE).ok();
                 }
                 Err(error) => {
-                    tracing::warn!(session = id, ?error, "a request was not received");
+                    let session = self.shared.id;
+                    tracing::warn!(session, ?error, "a request was not received");
                     self.ports.bell.timed_wait(|_| {}, SLICE).ok();
                 }
             }
         }
-        tracing::debug!(session = id, "session closed");
+        total
     }
 
-    /// Answers one request; returns the number of environments that it moved on.
+    /// Answers one request; returns how many steps environments took.
     fn answer(&mut self, request: &Request) -> u64 {
+        let start = Instant::now();
         let asked = *request.user_header();
         let mut response = match request.loan_slice(self.reply_layout.bytes) {
             Ok(response) => response,
@@ -289,11 +364,12 @@ impl Session {
         header.flags = asked.flags;
         let result = self.carry_out(&asked, request.payload(), response.payload_mut());
         let steps = match result {
-            Ok(moved) => {
+            Ok(()) => {
                 header.rows = asked.rows;
-                moved
+                self.count(&asked, response.payload(), start.elapsed())
             }
             Err(refusal) => {
+                self.ground.meter.refused(refusal.code);
                 header.status = refusal.code as u32;
                 let encoded = control::encode(&refusal, response.payload_mut());
                 header.length = encoded.unwrap_or(0) as u32;
@@ -308,13 +384,34 @@ impl Session {
         steps
     }
 
-    /// Does what is asked and returns the number of environments that it moved on.
+    /// Counts what a request has done; returns how many steps environments took.
+    fn count(&self, asked: &Header, reply: &[u8], time: Duration) -> u64 {
+        let rows = asked.rows as usize;
+        if !matches!(asked.kind, kind::STEP | kind::RESET) {
+            return 0;
+        }
+        let steps: &[u32] = self.reply_layout.steps.view(reply, rows);
+        let faults: &[u8] = self.reply_layout.fault.view(reply, rows);
+        let begun = steps.iter().filter(|steps| **steps == 0).count() as u64;
+        let failed = faults.iter().filter(|fault| **fault != 0).count() as u64;
+        self.meter.resets.inc_by(begun);
+        self.meter.failures.inc_by(failed);
+        if asked.kind == kind::RESET {
+            return 0;
+        }
+        let steps = rows as u64 - if self.next_step { begun } else { 0 };
+        self.meter.steps.inc_by(steps);
+        self.meter.stepped(time);
+        steps
+    }
+
+    /// Does what is asked.
     fn carry_out(
         &mut self,
         asked: &Header,
         payload: &[u8],
         reply: &mut [u8],
-    ) -> Result<u64, Rejection> {
+    ) -> Result<(), Rejection> {
         desk::check_header(asked)?;
         let malformed = |field: &str, value: u64, allowed: String| {
             Rejection::new(Code::Malformed, field, value, allowed)
@@ -347,7 +444,7 @@ impl Session {
         env_ids[..rows].copy_from_slice(layout.env_ids.view(payload, rows));
         let env_ids = &env_ids[..rows];
         let mut out = Rows::of(&self.reply_layout, reply, rows);
-        let scheduler = &self.ground.scheduler;
+        let scheduler = &self.scheduler;
         let states;
         let deed = match asked.kind {
             kind::STEP => {
@@ -365,7 +462,7 @@ impl Session {
                     }
                     Ok(())
                 })?;
-                return Ok(0);
+                return Ok(());
             }
             kind::RESTORE => {
                 states = saved(&self.shared, &self.batch, numbers, scheduler)?;
@@ -382,8 +479,7 @@ impl Session {
             }
         };
         let want_expert = asked.flags & flag::WANT_EXPERT != 0;
-        self.batch.apply(deed, env_ids, want_expert, out, scheduler)?;
-        Ok(if asked.kind <= kind::STEP { rows as u64 } else { 0 })
+        self.batch.apply(deed, env_ids, want_expert, out, scheduler)
     }
 
     fn note(&self, start: Instant, steps: u64) {

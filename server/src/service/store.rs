@@ -9,10 +9,14 @@ use trocar_proto::{Code, Rejection};
 
 use crate::env::{Env, Identity};
 
-/// Memory of a server that sessions and snapshots share, bytes.
+/// Memory that sessions and snapshots share, bytes: those of a server, or of one of its clients.
 #[derive(Debug)]
 pub(super) struct Ledger {
     budget: u64,
+    /// The option of `trocar serve` that sets it.
+    option: &'static str,
+    /// The server's, where this is a client's.
+    whole: Option<Arc<Self>>,
     /// What open sessions are counted with.
     sessions: AtomicU64,
     /// What their snapshots are counted with.
@@ -24,7 +28,13 @@ pub(super) struct Ledger {
 impl Ledger {
     pub(super) fn new(budget: u64) -> Self {
         let zero = || AtomicU64::new(0);
-        Self { budget, sessions: zero(), snapshots: zero(), numbers: zero() }
+        let option = "--memory";
+        Self { budget, option, whole: None, sessions: zero(), snapshots: zero(), numbers: zero() }
+    }
+
+    /// That of a client of this server.
+    pub(super) fn of_client(self: &Arc<Self>, budget: u64) -> Self {
+        Self { option: "--client-memory", whole: Some(Arc::clone(self)), ..Self::new(budget) }
     }
 
     /// Takes note of what sessions are counted with.
@@ -39,6 +49,9 @@ impl Ledger {
 
     /// Counts `count` more snapshots, unless the budget forbids it.
     fn take(&self, count: usize) -> Result<(), Rejection> {
+        if let Some(whole) = &self.whole {
+            whole.take(count)?;
+        }
         let needed = count as u64 * Env::MEMORY_BYTES;
         let sessions = self.sessions.load(Ordering::Relaxed);
         let fits = |snapshots: u64| {
@@ -46,23 +59,38 @@ impl Ledger {
         };
         let taken = self.snapshots.fetch_update(Ordering::Relaxed, Ordering::Relaxed, fits);
         taken.map(|_| ()).map_err(|snapshots| {
+            if let Some(whole) = &self.whole {
+                whole.give_back(count);
+            }
             let mebibytes = |bytes: u64| format!("{:.1} MiB", bytes as f64 / f64::from(1 << 20));
             Rejection::new(
                 Code::MemoryBudget,
                 "snapshots",
                 count,
                 format!(
-                    "they need {}, and {} of {} are taken; drop some (or serve --memory)",
+                    "they need {}, and {} of {} are taken; drop some (or serve {})",
                     mebibytes(needed),
                     mebibytes(sessions + snapshots),
-                    mebibytes(self.budget)
+                    mebibytes(self.budget),
+                    self.option
                 ),
             )
         })
     }
 
     fn give_back(&self, count: usize) {
+        if let Some(whole) = &self.whole {
+            whole.give_back(count);
+        }
         self.snapshots.fetch_sub(count as u64 * Env::MEMORY_BYTES, Ordering::Relaxed);
+    }
+
+    /// A number that no other snapshot of the server has.
+    fn number(&self) -> u64 {
+        match &self.whole {
+            Some(whole) => whole.number(),
+            None => self.numbers.fetch_add(1, Ordering::Relaxed) + 1,
+        }
     }
 }
 
@@ -98,7 +126,7 @@ impl Store {
     pub(super) fn put(&mut self, room: &mut Room, saved: Saved) -> u64 {
         debug_assert!(room.left > 0);
         room.left -= 1;
-        let number = self.ledger.numbers.fetch_add(1, Ordering::Relaxed) + 1;
+        let number = self.ledger.number();
         self.saved.insert(number, saved);
         number
     }
@@ -194,6 +222,24 @@ mod tests {
         assert_eq!(ledger.snapshots(), Env::MEMORY_BYTES);
         drop(store);
         assert_eq!(ledger.snapshots(), 0);
+    }
+
+    #[test]
+    fn a_client_s_snapshots_count_for_it_and_for_the_server() {
+        let whole = Arc::new(Ledger::new(3 * Env::MEMORY_BYTES));
+        let client = Arc::new(whole.of_client(Env::MEMORY_BYTES));
+        let (one, _) = store(&client);
+        let refusal = one.make_room(2).err().unwrap();
+        assert!(refusal.allowed.contains("--client-memory"), "{refusal}");
+        assert_eq!((whole.snapshots(), client.snapshots()), (0, 0));
+        let room = one.make_room(1).unwrap();
+        assert_eq!((whole.snapshots(), client.snapshots()), (Env::MEMORY_BYTES, Env::MEMORY_BYTES));
+        let other = Arc::new(whole.of_client(u64::MAX));
+        let (two, _) = store(&other);
+        let refusal = two.make_room(3).err().unwrap();
+        assert!(refusal.allowed.contains("serve --memory"), "{refusal}");
+        drop(room);
+        assert_eq!((whole.snapshots(), client.snapshots(), other.snapshots()), (0, 0, 0));
     }
 
     #[test]

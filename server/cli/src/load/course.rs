@@ -60,7 +60,7 @@ impl<'a> Course<'a> {
             load,
             // No environment has the seed of a load and this episode.
             rng: Rng::new(load.seed, u64::MAX),
-            tally: Tally::new()?,
+            tally: Tally::default(),
             server: ServerUse::default(),
             unclaimed: vec![],
             before,
@@ -81,7 +81,7 @@ impl<'a> Course<'a> {
         for left in target.finish()? {
             tally.leaked.add(left);
         }
-        let summary = Summary::new(load.envs, &fleet.slots, &tally, &server, lasted);
+        let summary = Summary::new(load, &fleet.slots, &tally, &server, lasted);
         summary.show(&fleet.slots, &tally, &server, lasted);
         if json {
             output::json_line(&summary)?;

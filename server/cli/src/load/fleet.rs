@@ -6,6 +6,7 @@ use std::sync::mpsc::{self, Receiver, Sender};
 use std::time::{Duration, Instant};
 
 use anyhow::Context;
+use hdrhistogram::Histogram;
 use rustix::process::Signal;
 use trocar_proto::endpoint::ServerName;
 use trocar_server::sim::random::Rng;
@@ -14,7 +15,7 @@ use super::checker::{self, Line};
 use super::report::Tally;
 use super::twin::Twin;
 use super::worker::Report;
-use super::{Load, PATIENCE};
+use super::{DIGITS, Load, PATIENCE};
 use crate::process::{PYTHON, Process, python};
 use crate::usage;
 
@@ -46,6 +47,10 @@ impl Language {
 pub(super) struct Slot {
     pub(super) language: Language,
     pub(super) steps: u64,
+    /// Latencies of its messages, ns.
+    pub(super) latencies: Histogram<u64>,
+    /// Time that its twins took for as many, s; 0 where they are not in the client.
+    pub(super) twin_seconds: f64,
     /// Time in which its clients had sessions and were not stopped, s.
     seconds: f64,
     /// CPU time of its clients that have ended, s.
@@ -118,9 +123,12 @@ impl<'a> Fleet<'a> {
     pub(super) fn start(load: &'a Load, server: &ServerName) -> anyhow::Result<Self> {
         let (sender, reports) = mpsc::channel();
         let language = if load.python { Language::Python } else { Language::Rust };
+        let latencies: Histogram<u64> = Histogram::new(DIGITS)?;
         let slot = || Slot {
             language,
             steps: 0,
+            latencies: latencies.clone(),
+            twin_seconds: 0.0,
             seconds: 0.0,
             ended_cpu_seconds: 0.0,
             killed: 0,
@@ -144,6 +152,7 @@ impl<'a> Fleet<'a> {
 
     fn start_client(&mut self, index: usize) -> anyhow::Result<()> {
         let (load, number) = (self.load, self.started);
+        let task = load.task_of(index);
         // No two environments of a load have the same seed.
         let seed = load.seed.wrapping_add(number as u64 * u64::from(load.envs));
         let language = self.slots[index].language;
@@ -159,7 +168,7 @@ impl<'a> Fleet<'a> {
                 command
             }
         };
-        command.args(["--server", self.server.as_str(), "--task", &load.task]);
+        command.args(["--server", self.server.as_str(), "--task", task]);
         command.args(["--envs", &load.envs.to_string(), "--seed", &seed.to_string()]);
         if load.restart_server.is_some() {
             command.arg("--reconnect");
@@ -170,7 +179,7 @@ impl<'a> Fleet<'a> {
             Language::Python => {
                 let (sender, lines) = mpsc::channel();
                 process.report_to(number, sender);
-                let twin = Twin::new(&load.task, load.envs, seed)?;
+                let twin = Twin::new(task, load.envs, seed)?;
                 checker::start(twin, lines, self.sender.clone());
             }
         }
@@ -249,6 +258,8 @@ impl<'a> Fleet<'a> {
     fn take_down(&mut self, number: usize, line: &str, tally: &mut Tally) {
         let report: Report = match serde_json::from_str(line) {
             Ok(report) => report,
+            // One that was killed may have been saying something.
+            Err(_) if !self.slots.iter().any(|slot| slot.runs(number)) => return,
             Err(error) => {
                 return tally.errors.add(format!("client {} said {line:?}: {error}", number + 1));
             }
@@ -258,7 +269,9 @@ impl<'a> Fleet<'a> {
         }
         // A killed one may have said more than was heard by then, and is not counted.
         let Some(slot) = self.slots.iter_mut().find(|slot| slot.runs(number)) else { return };
-        let Slot { running: Some(client), steps, seconds, sessions, .. } = slot else { return };
+        let Slot { running: Some(client), steps, seconds, sessions, latencies, .. } = slot else {
+            return;
+        };
         client.heard = Instant::now();
         client.ready = true;
         client.parting |= report.done;
@@ -272,8 +285,9 @@ impl<'a> Fleet<'a> {
             *seconds += (report.seconds - std::mem::take(&mut client.frozen)).max(0.0);
         }
         *steps += report.steps;
+        slot.twin_seconds += report.twin_seconds;
         for (latency, count) in report.latencies {
-            if tally.latencies.record_n(latency, count).is_err() {
+            if latencies.record_n(latency, count).is_err() {
                 tally.errors.add(format!("client {} took {latency} ns", number + 1));
             }
         }

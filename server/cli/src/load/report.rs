@@ -1,19 +1,20 @@
 //! What the load has found.
 
-use hdrhistogram::Histogram;
 use serde::Serialize;
 
+use super::Load;
 use super::fleet::Slot;
 use crate::output;
+
+/// How long a session may keep a thread while others wait, µs.
+const TURN_US: f64 = 1000.0;
 
 /// How many problems of a kind are told in words.
 const TOLD: usize = 5;
 
 /// What happened so far, over all clients.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 pub(super) struct Tally {
-    /// Of messages, ns.
-    pub(super) latencies: Histogram<u64>,
     pub(super) killed: u64,
     pub(super) reclaimed: u64,
     pub(super) stopped: u64,
@@ -21,21 +22,6 @@ pub(super) struct Tally {
     pub(super) errors: Problems,
     pub(super) mismatches: Problems,
     pub(super) leaked: Problems,
-}
-
-impl Tally {
-    pub(super) fn new() -> anyhow::Result<Self> {
-        Ok(Self {
-            latencies: Histogram::new(super::DIGITS)?,
-            killed: 0,
-            reclaimed: 0,
-            stopped: 0,
-            restarts: 0,
-            errors: Problems::default(),
-            mismatches: Problems::default(),
-            leaked: Problems::default(),
-        })
-    }
 }
 
 /// How often something went wrong, and what the first ones were.
@@ -91,23 +77,63 @@ pub(super) struct Summary {
     mismatches: u64,
     leaked: u64,
     server_memory_bytes: Option<u64>,
+    #[serde(flatten, skip_serializing_if = "Option::is_none")]
+    beside: Option<Beside>,
+}
+
+/// How the first client fares beside others that have another task.
+#[derive(Debug, Serialize)]
+struct Beside {
+    /// 99th percentile of its latencies, µs.
+    first_p99_us: f64,
+    /// What its share of the threads implies, µs.
+    share_us: f64,
+    #[serde(skip)]
+    /// What a turn of the others takes, µs.
+    turn: f64,
+}
+
+impl Beside {
+    /// In the worst case every other client has a turn before the first one's message has its own. Turns
+    /// last at least [`TURN_US`], and as long as one environment of the others takes for a step.
+    fn new(slots: &[Slot], envs: u32, threads: usize) -> Option<Self> {
+        let (first, others) = slots.split_first()?;
+        let messages: u64 = others.iter().map(|slot| slot.latencies.len()).sum();
+        let seconds: f64 = others.iter().map(|slot| slot.twin_seconds).sum();
+        if first.latencies.is_empty() || messages == 0 || seconds == 0.0 {
+            return None;
+        }
+        let own_us = first.twin_seconds * 1e6 / first.latencies.len() as f64;
+        let step_us = seconds * 1e6 / (messages as f64 * f64::from(envs));
+        let turn = step_us.max(TURN_US);
+        Some(Self {
+            first_p99_us: first.latencies.value_at_quantile(0.99) as f64 / 1000.0,
+            share_us: own_us + others.len() as f64 * turn / threads as f64,
+            turn,
+        })
+    }
 }
 
 impl Summary {
-    /// What a load of `seconds` has found, `envs` being the environments of each client.
+    /// What a load of `seconds` has found.
     pub(super) fn new(
-        envs: u32,
+        load: &Load,
         slots: &[Slot],
         tally: &Tally,
         server: &ServerUse,
         seconds: f64,
     ) -> Self {
         let steps = slots.iter().map(|slot| slot.steps).sum();
-        let micros = |quantile| tally.latencies.value_at_quantile(quantile) as f64 / 1000.0;
+        let mut latencies = slots[0].latencies.clone();
+        for slot in &slots[1..] {
+            latencies.add(&slot.latencies).expect("all have the same range and digits");
+        }
+        let micros = |quantile| latencies.value_at_quantile(quantile) as f64 / 1000.0;
+        let threads = std::thread::available_parallelism().map_or(1, usize::from);
         let rates: Vec<f64> = slots.iter().filter_map(Slot::rate).collect();
         Self {
             clients: slots.len(),
-            envs,
+            envs: load.envs,
             steps,
             steps_per_second: steps as f64 / seconds,
             p50_us: micros(0.5),
@@ -121,6 +147,7 @@ impl Summary {
             mismatches: tally.mismatches.count,
             leaked: tally.leaked.count,
             server_memory_bytes: server.memory.last().map(|(_, bytes)| *bytes as u64),
+            beside: load.others.as_ref().and_then(|_| Beside::new(slots, load.envs, threads)),
         }
     }
 
@@ -168,6 +195,13 @@ impl Summary {
             "latency of a message: p50 {:.0} µs, p99 {:.0} µs; fairness (Jain) {:.3}",
             self.p50_us, self.p99_us, self.jain
         );
+        if let Some(Beside { first_p99_us, share_us, turn }) = &self.beside {
+            let times = first_p99_us / share_us;
+            eprintln!(
+                "client 1 beside the others: p99 {first_p99_us:.0} µs, {times:.1} × the \
+                 {share_us:.0} µs that its share implies (turns of {turn:.0} µs)"
+            );
+        }
         let memory = self.server_memory_bytes.map_or("–".into(), output::mebibytes);
         let slope = slope(&server.memory).map_or("–".into(), |slope| {
             // Per hour, in the unit of the other figure.

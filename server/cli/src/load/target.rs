@@ -60,6 +60,8 @@ impl Target {
     pub(super) fn restart(&mut self) -> anyhow::Result<()> {
         self.observer.tell_to_end();
         drop(self.own.take());
+        // A server that is started meanwhile would inherit the connection's open files.
+        self.observer.end();
         let own = OwnServer::start(&self.name, &[])?;
         self.pid = Some(own.pid());
         self.own = Some(own);
@@ -100,7 +102,6 @@ impl Target {
         let size = |path: &PathBuf| std::fs::metadata(path).map_or(0, |metadata| metadata.len());
         Ok(Some(Footprint {
             others: status.sessions.len() - sessions,
-            pid: self.pid,
             counts: [
                 sessions as u64,
                 remains.len() as u64,
@@ -138,8 +139,6 @@ impl Drop for Target {
 pub(super) struct Footprint {
     /// Sessions of processes that are not of the load.
     others: usize,
-    /// The server's process.
-    pid: Option<u32>,
     counts: [u64; COUNTED.len()],
 }
 
@@ -152,20 +151,10 @@ const COUNTED: [&str; 6] = [
     "mappings of shared memory in the server",
 ];
 
-/// How many of these, the last ones, are the server's process's own.
-const OF_PROCESS: usize = 2;
-
 impl Footprint {
-    /// What there is more than there was before. Where others use the server, only sessions tell;
-    /// and a restarted server is another process, with other open files.
+    /// What there is more than there was before. Where others use the server, only sessions tell.
     pub(super) fn beyond(&self, before: &Self) -> Vec<String> {
-        let told = if self.others + before.others > 0 {
-            1
-        } else if self.pid != before.pid {
-            COUNTED.len() - OF_PROCESS
-        } else {
-            COUNTED.len()
-        };
+        let told = if self.others + before.others > 0 { 1 } else { COUNTED.len() };
         let pairs = self.counts.iter().zip(before.counts).zip(COUNTED).take(told);
         pairs
             .filter(|((now, before), _)| *now > before)
@@ -259,14 +248,12 @@ mod tests {
 
     #[test]
     fn only_what_the_load_can_have_left_counts() {
-        let before = Footprint { others: 0, pid: Some(1), counts: [0, 5, 5, 4096, 20, 7] };
+        let before = Footprint { others: 0, counts: [0, 5, 5, 4096, 20, 7] };
         assert!(before.beyond(&before).is_empty());
         let after = Footprint { counts: [1, 4, 5, 8192, 21, 7], ..before.clone() };
         let beyond = after.beyond(&before);
         assert_eq!(beyond.len(), 3, "{beyond:?}");
         assert!(beyond[0].contains("sessions: 1") && beyond[1].contains("8192"));
-        let restarted = Footprint { pid: Some(2), ..after.clone() };
-        assert_eq!(restarted.beyond(&before), beyond[..2]);
         assert_eq!(Footprint { others: 1, ..after }.beyond(&before), beyond[..1]);
     }
 }

@@ -38,6 +38,8 @@ pub(super) struct Report {
     pub(super) seconds: f64,
     /// Latencies of messages, ns, each with how often it was seen.
     pub(super) latencies: Vec<(u64, u64)>,
+    /// Time that its twin took for the same steps, s.
+    pub(super) twin_seconds: f64,
     /// Where it does not compare by itself: the checksum of all that its session has shown.
     pub(super) checksum: Option<u32>,
     /// What is not as in its twin; said once in a session.
@@ -152,7 +154,9 @@ impl Work {
             let sent = Instant::now();
             let reply = session.step(self.twin.actions())?;
             self.latencies.record(sent.elapsed().as_nanos() as u64)?;
+            let start = Instant::now();
             self.twin.step()?;
+            self.report.twin_seconds += start.elapsed().as_secs_f64();
             self.report.rounds += 1;
             // A row with 0 steps is the reset that follows an episode.
             self.report.steps +=
