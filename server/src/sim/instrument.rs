@@ -1,13 +1,15 @@
 //! A PSM instrument in the world: a driven wrist, and two fingers.
 //!
 //! Fingers that grip are bodies of their own on hinges: what they hold, they hold by friction. Their
-//! motors keep them at equal angles on both sides of the wrist, as the real jaws' gearing does, and
-//! drive that angle with no more than the grip's squeeze. Fingers that are locked are driven like the
-//! wrist, and nothing moves them. How instruments move is in [`travel`](super::travel).
+//! motors drive the opening between them with no more than the grip's squeeze, and keep both about the
+//! middle of the wrist, as the real jaws' gearing and yaw joint do, with a limited torque too. Fingers
+//! that are locked are driven like the wrist, and nothing moves them. How instruments move is in
+//! [`travel`](super::travel).
 //!
 //! What the grip is like is measured in `server/tests/mechanics.rs` and `server/tests/grasp.rs`: a finger
-//! presses with 0.95 of the squeeze that is asked for, and a slab slips at 0.85 to 0.91 of 2·μ·N, where
-//! μ is the mean of both coefficients. Friction has no memory of places: under load, what is held creeps
+//! presses with the squeeze that is asked for where that is defined, 1 mm from the tip (with 0.95 of it
+//! half a millimetre further out), and a slab slips at 0.85 to 0.91 of 2·μ·N, where μ is the mean of
+//! both coefficients. Friction has no memory of places: under load, what is held creeps
 //! by some micrometres with every movement.
 
 use nalgebra::{Point3, Unit, UnitQuaternion, Vector3};
@@ -62,7 +64,7 @@ const FINGER_LIMITS: [f64; 2] = [-0.5, 0.8];
 /// Torque with which each finger stays in the middle of the wrist, over that of its squeeze. Beyond, what
 /// pushes the fingers to one side turns both, as it turns the yaw joint of a real wrist, whose torque is
 /// as limited.
-const YAW: f64 = 1.0;
+const YAW: f64 = 2.0;
 
 /// From the hinge to where an object is gripped, m: the tip less 1 mm.
 const LEVER: f64 = TIP_OFFSET - 1e-3;

@@ -16,10 +16,13 @@ pub struct Push {
     pub strongest: f64,
     /// Where that is; the origin where nothing touches.
     pub point: Point3<f64>,
-    /// Deepest overlap of an object that touches; that with the bodies asked for does not count where
-    /// they squeeze the object from two sides.
+    /// Deepest overlap of an object that touches; of that with the bodies asked for, where they squeeze
+    /// the object from two sides, only what is beyond [`SQUEEZED`] counts.
     pub overlap: Overlap,
 }
+
+/// How far jaws may press into what they squeeze, m: a needle gives in by a fifth of a millimetre to 1 N.
+const SQUEEZED: f64 = 0.3e-3;
 
 /// Where something overlaps with what is in its way.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -139,8 +142,8 @@ impl World {
         })
     }
 
-    /// Deepest overlap of any part of the body that `part` belongs to; without that with the bodies of
-    /// `instrument` where these squeeze it.
+    /// Deepest overlap of any part of the body that `part` belongs to; of that with the bodies of
+    /// `instrument`, where these squeeze it, only what is beyond [`SQUEEZED`].
     fn overlap_of(&self, part: ColliderHandle, instrument: &[BodyId]) -> Overlap {
         let body = self.colliders[part].parent().expect("every collider belongs to a body");
         let touching = instrument.iter().filter(|each| self.touch(**each, BodyId(body)));
@@ -155,16 +158,14 @@ impl World {
                 let first = pair.collider1 == *part;
                 let other = if first { pair.collider2 } else { pair.collider1 };
                 let by_instrument = is_instruments(other);
-                if by_instrument && is_squeezed {
-                    continue;
-                }
+                let allowed = if by_instrument && is_squeezed { SQUEEZED } else { 0.0 };
                 // Normals point from the first collider to the second. What moves is the instrument, and
                 // the object with it.
                 let sign = if first == by_instrument { -1.0 } else { 1.0 };
                 let at = self.colliders[*part].position();
                 for manifold in pair.manifolds() {
                     for contact in &manifold.points {
-                        let depth = -f64::from(contact.dist) / SCALE;
+                        let depth = -f64::from(contact.dist) / SCALE - allowed;
                         if depth > deepest.depth {
                             let local = if first { contact.local_p1 } else { contact.local_p2 };
                             let point =
