@@ -89,9 +89,6 @@ pub fn travel<const N: usize>(
     });
     for now in 1..=substeps {
         if world.at_rest() {
-            for way in &mut ways {
-                way.push = Push::NONE;
-            }
             if have_free_ways(&ways, world, |way| way.end) {
                 for way in &mut ways {
                     way.instrument.place(way.end);
@@ -103,6 +100,7 @@ pub fn travel<const N: usize>(
                 for way in &mut ways {
                     way.done += 1;
                     way.instrument.place(way.along(way.done, now, substeps));
+                    way.push = Push::NONE;
                 }
                 continue;
             }

@@ -152,12 +152,17 @@ impl World {
             let parent = self.colliders[part].parent();
             instrument.iter().any(|body| Some(body.0) == parent)
         };
+        let is_object = self.free.contains(&body);
         let mut deepest = Overlap::NONE;
         for part in self.bodies[body].colliders() {
             for pair in self.narrow_phase.contact_pairs_with(*part) {
                 let first = pair.collider1 == *part;
                 let other = if first { pair.collider2 } else { pair.collider1 };
                 let by_instrument = is_instruments(other);
+                // Furniture and arms are not pressed into what else touches them.
+                if !is_object && !by_instrument {
+                    continue;
+                }
                 let allowed = if by_instrument && is_squeezed { SQUEEZED } else { 0.0 };
                 // Normals point from the first collider to the second. What moves is the instrument, and
                 // the object with it.
