@@ -212,9 +212,9 @@ fn smoothstep(done: u32, total: u32) -> f64 {
 #[expect(clippy::float_cmp, reason = "these results are exact")]
 mod tests {
     use super::*;
-    use crate::sim::frames;
-    use crate::sim::instrument::{JAW_CLOSED, TIP_OFFSET};
-    use crate::sim::world::Solver;
+    use crate::sim::frames::{self, Pose};
+    use crate::sim::instrument::{JAW_CLOSED, JAW_OPEN, TIP_OFFSET};
+    use crate::sim::world::{Motion, Part, SUBSTEPS_PER_SECOND, Shape, Solver};
 
     const SUBSTEPS: u32 = 48;
 
@@ -247,6 +247,38 @@ mod tests {
                 assert_eq!(back, [1.0; 2]);
             }
         }
+    }
+
+    #[test]
+    fn a_finger_that_comes_down_on_a_peg_stops_there_while_objects_sleep() {
+        let mut world = World::new(Solver::LIGHT);
+        let at = |z: f64| Pose::translation(0.0, 0.0, z);
+        let cube = |half: f64| Part {
+            body_from_part: Pose::identity(),
+            shape: Shape::Cuboid(Vector3::repeat(half)),
+        };
+        world.insert(Motion::Fixed, &at(-0.05), 1.0, &[cube(0.05)]);
+        let far = Pose::translation(0.04, 0.0, 5e-3);
+        world.insert(Motion::Free { mass: 1e-3 }, &far, 1.0, &[cube(5e-3)]);
+        // The tip of the right finger is 2.9 mm off the middle: its inner face slides along the peg.
+        let (a, b) = (Point3::new(0.0, -2.6e-3, 0.0), Point3::new(0.0, -2.6e-3, 0.02));
+        let peg =
+            Part { body_from_part: Pose::identity(), shape: Shape::Capsule { a, b, radius: 1e-3 } };
+        world.insert(Motion::Fixed, &Pose::identity(), 1.0, &[peg]);
+        let open = |z: f64| Posture { jaw: JAW_OPEN, ..down([0.0, 0.0, z]) };
+        let mut arm = Instrument::insert(&mut world, open(0.025), 1.0);
+        let mut widest: f64 = 0.0;
+        for _ in 0..SUBSTEPS_PER_SECOND as u32 {
+            world.step();
+        }
+        for _ in 0..4 {
+            let end = open(arm.posture().world_from_tip().translation.z - 0.01);
+            travel([&mut arm], &mut world, [end], SUBSTEPS);
+            assert!(world.at_rest());
+            widest = widest.max(arm.opening(&world));
+        }
+        assert!(widest > JAW_OPEN + 0.01, "it never met the peg");
+        assert!(widest < JAW_OPEN + 0.2, "forced open to {widest}");
     }
 
     #[test]
