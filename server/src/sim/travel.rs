@@ -5,8 +5,8 @@
 //!
 //! - **Yield**: where an object that is in the way pushes back too hard or is pressed into what is
 //!   behind it, an instrument goes back along its path instead of forward; just before, it waits.
-//!   Where its path does not lead out of what it presses on, one that grips gives way, as a real arm
-//!   bends.
+//!   Where its path does not lead out of what it presses on, or it is jammed, one that grips gives way,
+//!   as a real arm bends.
 //! - **Distance**: the shafts of two instruments, which nothing else keeps apart, wait where they
 //!   would come closer than they are thick.
 //! - **Quiescence**: while every free object sleeps and the volumes that the instruments sweep, jaws
@@ -21,6 +21,10 @@ use super::world::{Overlap, Push, World};
 
 /// Net force of objects against the motion beyond which an instrument yields, N.
 const YIELD_FORCE: f64 = 2.5;
+
+/// Net force beyond which an instrument that grips gives way to it, wherever it was going, N: it is
+/// jammed.
+const JAM_FORCE: f64 = 4.0 * YIELD_FORCE;
 
 /// Overlap of a pushed object with anything beyond which an instrument yields, m. Contact stiffness
 /// is per mass: a needle of 0.4 g would be pressed through its support before it pushed back with
@@ -134,7 +138,9 @@ pub fn travel<const N: usize>(
             let stays_on = way.done >= done && overlap.depth > YIELD_OVERLAP;
             // Locked jaws that gave way upwards or downwards would press what lies under them.
             let is_level = overlap.into.z.abs() < LEVEL;
-            if stays_on && (way.instrument.grips() || is_level) {
+            if way.instrument.grips() && way.push.force.norm() > JAM_FORCE {
+                way.aside += way.push.force.normalize() * ASIDE;
+            } else if stays_on && (way.instrument.grips() || is_level) {
                 way.aside -= overlap.into * ASIDE;
             }
             let next = way.along(way.done, now, substeps);
