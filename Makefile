@@ -91,8 +91,8 @@ test-wheels: $(VENV)/ready ## * both wheels with the oldest Gymnasium, without R
 	cd client-py && PATH=$(WHEEL_BIN):/usr/bin:/bin python -m pytest tests -k $(WHEEL_TESTS)
 
 .PHONY: test-rl
-test-rl: develop .venv-rl/ready .venv-rllib/ready ## * SB3, TorchRL, CleanRL, RLlib: tests, examples (2.5 GB to fetch)
-	for venv in .venv-rl .venv-rllib; do cd client-py && VIRTUAL_ENV=$(CURDIR)/$$venv $(BIN)/maturin develop --quiet --locked && cd ..; done
+test-rl: develop .venv-rl/ready .venv-rllib/ready ## * SB3, TorchRL, CleanRL, RLlib: tests, examples; fetches 5 GB
+	for venv in .venv-rl .venv-rllib; do VIRTUAL_ENV=$(CURDIR)/$$venv $(BIN)/maturin develop --quiet --locked --manifest-path client-py/Cargo.toml; done
 	cd client-py && $(RL_BIN)/mypy python/trocar/sb3.py tests/rl/test_sb3.py examples/her_needle_reach.py examples/worker_processes.py
 	cd client-py && $(RL_TEST) $(RL_BIN)/python -m pytest -W ignore::DeprecationWarning tests/rl python/trocar/sb3.py
 	cd client-py && $(RL_TEST) $(RL_BIN)/python examples/her_needle_reach.py --steps 3000 --out $(TARGET)/her_needle_reach

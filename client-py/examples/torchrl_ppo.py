@@ -62,7 +62,7 @@ def network(inputs: int, outputs: int) -> nn.Sequential:
 
 
 def main() -> None:
-    """Trains, and prints returns and successes."""
+    """Trains, and prints returns, how near to the goal episodes end, and successes."""
     parser = argparse.ArgumentParser()
     parser.add_argument("--steps", type=int, default=160_000, help="environment steps")
     steps = parser.parse_args().steps
@@ -114,7 +114,8 @@ def main() -> None:
         after = batch["next"]
         print(
             f"{number * frames:7} steps  mean return {after['reward'].sum().item() / ENVS:7.3f}  "
-            f"success {after['is_success'][:, -1].float().mean():.0%}",
+            f"ends {-1000 * after['reward'][:, -1].mean().item():5.1f} mm from the goal  "
+            f"success {after['is_success'][:, -1].float().mean():4.0%}",
             flush=True,
         )
     collector.shutdown()
