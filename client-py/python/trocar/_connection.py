@@ -270,8 +270,8 @@ class Connection:
             pause = min(2.0 * pause, LONGEST_PAUSE)
         where = "the latest checkpoint" if resumed == "snapshot" else "the latest reset"
         told = Reconnected(
-            f"{lost}; the session was opened again and goes on from {where}; what was asked for was "
-            "not carried out"
+            f"{lost}; the session was opened again and goes on from {where}; what was asked for "
+            "was not carried out"
         )
         told.resumed = resumed
         told.observation, told.info = self._shown(reply)
