@@ -25,6 +25,10 @@ WHEEL_BIN := $(abspath $(WHEEL_VENV)/bin)
 WHEEL_TESTS := "not stubs and not Pick and not Peg and not Regrasp and not Gauze"
 # Python files under ruff, as seen from client-py/, whose pyproject.toml has the rules.
 PYTHON_CODE := . ../server/cli/src/demo ../server/cli/src/bench ../server/cli/src/load
+# What people train with, each with the Gymnasium that it needs.
+RL_BIN := $(abspath .venv-rl/bin)
+RLLIB_BIN := $(abspath .venv-rllib/bin)
+RL_TEST := TROCAR_BINARY=$(TARGET)/debug/trocar
 PIP_INSTALL := -m pip install --quiet --disable-pip-version-check
 
 .PHONY: help
@@ -86,6 +90,18 @@ test-wheels: $(VENV)/ready ## * both wheels with the oldest Gymnasium, without R
 	cd / && PATH=$(WHEEL_BIN) python $(CURDIR)/client-py/examples/random_policy.py
 	cd client-py && PATH=$(WHEEL_BIN):/usr/bin:/bin python -m pytest tests -k $(WHEEL_TESTS)
 
+.PHONY: test-rl
+test-rl: develop .venv-rl/ready .venv-rllib/ready ## * SB3, TorchRL, CleanRL, RLlib: tests, examples (2.5 GB to fetch)
+	for venv in .venv-rl .venv-rllib; do cd client-py && VIRTUAL_ENV=$(CURDIR)/$$venv $(BIN)/maturin develop --quiet --locked && cd ..; done
+	cd client-py && $(RL_BIN)/mypy python/trocar/sb3.py tests/rl/test_sb3.py examples/her_needle_reach.py examples/worker_processes.py
+	cd client-py && $(RL_TEST) $(RL_BIN)/python -m pytest -W ignore::DeprecationWarning tests/rl python/trocar/sb3.py
+	cd client-py && $(RL_TEST) $(RL_BIN)/python examples/her_needle_reach.py --steps 3000 --out $(TARGET)/her_needle_reach
+	cd client-py && $(RL_TEST) $(RL_BIN)/python examples/worker_processes.py --steps 2048
+	cd client-py && $(RL_TEST) $(RL_BIN)/python examples/torchrl_ppo.py --steps 4000
+	cd client-py && $(RL_TEST) $(RL_BIN)/python examples/cleanrl_ppo.py --steps 4000
+	cd client-py && $(RL_TEST) $(RLLIB_BIN)/python -m pytest tests/rllib
+	cd client-py && $(RL_TEST) $(RLLIB_BIN)/python examples/rllib_ppo.py --iterations 2
+
 .PHONY: soak
 soak: develop ## * the long bars: 1,000,000 fuzzed messages, long multi-process loops
 	TROCAR_SOAK=1 TROCAR_BINARY=$(TARGET)/debug/trocar $(CARGO) test $(RUST) -- --nocapture
@@ -107,7 +123,7 @@ fmt: $(VENV)/ready ## * formats Rust and Python
 .PHONY: clean
 clean: ## removes all that the targets above made
 	$(CARGO) clean
-	rm -rf $(VENV) $(WHEEL_VENV) dist client-py/python/trocar/*.so
+	rm -rf $(VENV) $(WHEEL_VENV) .venv-rl .venv-rllib dist client-py/python/trocar/*.so
 
 # The program, the example of an own task and the Python package of this tree, in the profile that tests use.
 .PHONY: develop
@@ -118,4 +134,10 @@ develop: $(VENV)/ready
 $(VENV)/ready: client-py/requirements-dev.lock
 	$(PYTHON) -m venv --clear $(VENV)
 	$(VENV)/bin/python $(PIP_INSTALL) --require-hashes -r $<
+	touch $@
+
+# Without dependencies: the lock files have all of them, less what torch needs on a GPU only.
+.venv-%/ready: client-py/requirements-%.lock
+	$(PYTHON) -m venv --clear $(@D)
+	$(@D)/bin/python $(PIP_INSTALL) --require-hashes --no-deps -r $<
 	touch $@

@@ -122,4 +122,8 @@ def check_seed(seed: Any, field: str = "seed") -> int:
 def check_render_mode(mode: str | None) -> None:
     """An error unless nothing shall be rendered."""
     if mode is not None:
-        raise refuse(InvalidOption, "render_mode", mode, "allowed is None")
+        raise refuse(UnknownRenderMode, "render_mode", mode, "allowed is None")
+
+
+class UnknownRenderMode(InvalidOption, TypeError):
+    """A TypeError too: that is what makes Stable-Baselines3's ``make_vec_env`` do without."""

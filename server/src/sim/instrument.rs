@@ -56,8 +56,13 @@ const FRICTION: f64 = 1.0;
 /// Mass of a finger, kg. Source: the original.
 const FINGER_MASS: f64 = 0.02;
 
-/// Where a finger's turning ends, rad: 0 is closed.
-const FINGER_LIMITS: [f64; 2] = [-0.03, 0.8];
+/// Where a finger's turning ends, rad: 0 is the middle.
+const FINGER_LIMITS: [f64; 2] = [-0.5, 0.8];
+
+/// Torque with which each finger stays in the middle of the wrist, over that of its squeeze. Beyond, what
+/// pushes the fingers to one side turns both, as it turns the yaw joint of a real wrist, whose torque is
+/// as limited.
+const YAW: f64 = 1.0;
 
 /// From the hinge to where an object is gripped, m: the tip less 1 mm.
 const LEVER: f64 = TIP_OFFSET - 1e-3;
@@ -98,10 +103,16 @@ impl Posture {
 
     /// A box around fingers and clevis.
     fn aabb(&self) -> Aabb {
-        let fingers = SIDES.map(|side| {
-            let world_from_finger = self.world_from_finger(side);
-            Aabb::around(finger_box(side).corners().map(|corner| world_from_finger * corner))
-        });
+        self.aabb_with(SIDES.map(|side| self.world_from_finger(side)))
+    }
+
+    /// A box around fingers that are there, and the clevis.
+    fn aabb_with(&self, world_from_fingers: [Pose; 2]) -> Aabb {
+        let finger = |index: usize| {
+            let corners = finger_box(SIDES[index]).corners();
+            Aabb::around(corners.map(|corner| world_from_fingers[index] * corner))
+        };
+        let fingers = [finger(0), finger(1)];
         let clevis = Aabb::around(clevis_ends().map(|end| self.world_from_wrist * end));
         fingers[0].merged(&fingers[1]).merged(&clevis.grown(CLEVIS_RADIUS))
     }
@@ -243,8 +254,12 @@ impl Instrument {
 
     /// A box around all that it passes through on its way to `end`, m.
     pub(super) fn swept(&self, world: &World, end: &Posture) -> Aabb {
-        let now = Posture { jaw: self.opening(world), ..self.posture };
-        now.aabb().merged(&self.posture.aabb()).merged(&end.aabb())
+        let planned = self.posture.aabb().merged(&end.aabb());
+        if self.stale {
+            return planned;
+        }
+        let fingers = self.finger_bodies().map(|finger| world.pose(finger));
+        planned.merged(&self.posture.aabb_with(fingers))
     }
 
     /// Whether it meets nothing in the volume that it sweeps.
@@ -296,11 +311,16 @@ impl Instrument {
                 }
             }
             Fingers::Gripping { fingers, deflection } => {
-                let mean = 0.5 * opening(world, fingers);
-                let target = (0.5 * next.jaw).clamp(mean - deflection, mean + deflection);
-                for finger in fingers {
-                    world.turn_hinged(finger, target);
-                }
+                let [left, right] = fingers.each_ref().map(|finger| world.hinge_angle(finger));
+                let (opening, aside) = (0.5 * (left + right), 0.5 * (left - right));
+                // Closed fingers lie on each other: nothing closes them further.
+                let least = if opening < 0.0 { 0.0 } else { opening - deflection };
+                let most = (opening + deflection).max(least);
+                let opening = f64::clamp(0.5 * next.jaw, least, most);
+                let most = YAW * deflection;
+                let aside = f64::clamp(0.0, aside - most, aside + most);
+                world.turn_hinged(&fingers[0], opening + aside);
+                world.turn_hinged(&fingers[1], opening - aside);
             }
         }
         if let Some((object, _)) = self.tied {

@@ -7,19 +7,20 @@ use std::f64::consts::PI;
 
 use nalgebra::{Point3, Vector3};
 use rapier3d::dynamics::SpringCoefficients;
-use rapier3d::parry::query;
 use rapier3d::prelude::{
-    BroadPhaseBvh, CCDSolver, ColliderBuilder, ColliderHandle, ColliderSet, ContactPair,
-    FrictionModel, ImpulseJointSet, IntegrationParameters, IslandManager, MultibodyJointSet,
-    NarrowPhase, PhysicsPipeline, RigidBodyBuilder, RigidBodyHandle, RigidBodySet, SoftBodySet,
+    BroadPhaseBvh, CCDSolver, ColliderBuilder, ColliderSet, FrictionModel, ImpulseJointSet,
+    IntegrationParameters, IslandManager, MultibodyJointSet, NarrowPhase, PhysicsPipeline,
+    RigidBodyBuilder, RigidBodyHandle, RigidBodySet, SoftBodySet,
 };
 
 use super::frames::{self, Aabb, Pose, SCALE};
 
+mod contact;
 mod hinge;
 mod inertia;
 mod tie;
 
+pub use contact::{Overlap, Push};
 pub use hinge::{Hinge, HingedId};
 pub use inertia::Inertia;
 pub use tie::TieId;
@@ -117,64 +118,6 @@ pub enum Motion {
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct BodyId(RigidBodyHandle);
 
-/// What the rest of the world does to an instrument.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Push {
-    /// Sum of the contact forces, N; a squeeze from two sides cancels.
-    pub force: Vector3<f64>,
-    /// Force at the contact that bears most, N.
-    pub strongest: f64,
-    /// Where that is; the origin where nothing touches.
-    pub point: Point3<f64>,
-    /// Deepest overlap of an object that touches; that with the bodies asked for does not count where
-    /// they squeeze the object from two sides.
-    pub overlap: Overlap,
-}
-
-/// Where something overlaps with what is in its way.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Overlap {
-    /// How deep, m.
-    pub depth: f64,
-    /// Where.
-    pub point: Point3<f64>,
-    /// The direction into what is in the way.
-    pub into: Vector3<f64>,
-}
-
-impl Overlap {
-    /// Nothing overlaps.
-    pub const NONE: Self =
-        Self { depth: 0.0, point: Point3::new(0.0, 0.0, 0.0), into: Vector3::new(0.0, 0.0, 0.0) };
-
-    /// The deeper of two.
-    #[must_use]
-    pub fn or(self, other: Self) -> Self {
-        if other.depth > self.depth { other } else { self }
-    }
-}
-
-impl Push {
-    /// Nothing touches.
-    pub const NONE: Self = Self {
-        force: Vector3::new(0.0, 0.0, 0.0),
-        strongest: 0.0,
-        point: Point3::new(0.0, 0.0, 0.0),
-        overlap: Overlap::NONE,
-    };
-
-    /// What two bodies feel together.
-    #[must_use]
-    pub fn with(self, other: Self) -> Self {
-        let stronger = if other.strongest > self.strongest { other } else { self };
-        Self {
-            force: self.force + other.force,
-            overlap: self.overlap.or(other.overlap),
-            ..stronger
-        }
-    }
-}
-
 /// Bodies, joints, contacts and the time that passes for them. A clone goes on bit by bit like
 /// the original.
 #[derive(Clone)]
@@ -200,6 +143,8 @@ pub struct World {
 struct Workspace {
     pipeline: PhysicsPipeline,
     ccd: CCDSolver,
+    /// The free objects that fall in this substep.
+    falling: Vec<RigidBodyHandle>,
 }
 
 impl Clone for Workspace {
@@ -317,7 +262,41 @@ impl World {
     }
 
     /// Lets one substep pass.
+    ///
+    /// The engine moves a body by the speed it has at the *end* of each solver iteration. Where nothing
+    /// touches it, half an iteration's gain in speed is therefore lent to it the other way round for the
+    /// substep, which makes of it the leapfrog scheme: what falls, falls by ½·g·t².
     pub fn step(&mut self) {
+        let iterations = SUBSTEPS_PER_SECOND * self.parameters.num_solver_iterations as f64;
+        let half_gain =
+            frames::to_engine_vector(&Vector3::new(0.0, 0.0, 0.5 * GRAVITY / iterations));
+        let mut falling = std::mem::take(&mut self.workspace.falling);
+        falling.clear();
+        falling.extend(self.free.iter().filter(|body| self.falls(**body)));
+        for body in &falling {
+            let body = &mut self.bodies[*body];
+            body.set_linvel(body.linvel() + half_gain, false);
+        }
+        self.advance();
+        for body in &falling {
+            let body = &mut self.bodies[*body];
+            body.set_linvel(body.linvel() - half_gain, false);
+        }
+        self.workspace.falling = falling;
+        for body in &self.free {
+            self.fastest = self.fastest.max(self.bodies[*body].linvel().length());
+        }
+    }
+
+    /// Whether a free body is awake and nothing pressed on it in the last substep.
+    fn falls(&self, body: RigidBodyHandle) -> bool {
+        let body = &self.bodies[body];
+        let mut parts = body.colliders().iter();
+        !body.is_sleeping()
+            && !parts.any(|part| self.narrow_phase.contact_pairs_with(*part).any(contact::presses))
+    }
+
+    fn advance(&mut self) {
         self.workspace.pipeline.step(
             frames::to_engine_vector(&Vector3::new(0.0, 0.0, -GRAVITY)),
             &self.parameters,
@@ -333,9 +312,6 @@ impl World {
             &(),
             &(),
         );
-        for body in &self.free {
-            self.fastest = self.fastest.max(self.bodies[*body].linvel().length());
-        }
     }
 
     /// Where a body is.
@@ -374,15 +350,6 @@ impl World {
         body.add_force(frames::to_engine_vector(&(force * (SCALE * SCALE * SCALE))), true);
     }
 
-    /// How hard everything together pressed on a body in the last substep, from whatever side, N.
-    pub fn pressure(&self, body: BodyId) -> f64 {
-        let newtons = SUBSTEPS_PER_SECOND / f64::powi(SCALE, 4);
-        let parts = self.bodies[body.0].colliders().iter();
-        let pairs = parts.flat_map(|part| self.narrow_phase.contact_pairs_with(*part));
-        let contacts = pairs.flat_map(ContactPair::manifolds).flat_map(|each| &each.points);
-        contacts.map(|contact| newtons * f64::from(contact.data.impulse)).sum()
-    }
-
     /// The free objects, in the order in which they were put into the world.
     pub fn objects(&self) -> impl Iterator<Item = BodyId> {
         self.free.iter().map(|body| BodyId(*body))
@@ -391,20 +358,6 @@ impl World {
     /// Greatest speed of the centre of mass of any free object in all substeps so far, m/s.
     pub fn fastest(&self) -> f64 {
         f64::from(self.fastest) / SCALE
-    }
-
-    /// Deepest overlap of a free object with anything now, m: how far they would have to move apart.
-    pub fn deepest_overlap(&self) -> f64 {
-        let parts = self.free.iter().flat_map(|body| self.bodies[*body].colliders());
-        let pairs = parts.flat_map(|part| self.narrow_phase.contact_pairs_with(*part));
-        let overlap = |pair: &ContactPair| {
-            let [one, other] = [pair.collider1, pair.collider2].map(|part| &self.colliders[part]);
-            // Shapes between which the engine knows no contact do not overlap either.
-            let contact =
-                query::contact(one.position(), one.shape(), other.position(), other.shape(), 0.0);
-            contact.ok().flatten().map_or(0.0, |contact| -f64::from(contact.dist) / SCALE)
-        };
-        pairs.map(overlap).fold(0.0, f64::max)
     }
 
     /// Whether every free object sleeps: then nothing changes until something touches one.
@@ -435,101 +388,6 @@ impl World {
                 max: frames::from_engine_vector(max),
             })
         })
-    }
-
-    /// What the rest of the world did in the last substep to bodies of one instrument, taken as one:
-    /// what they do to each other does not count.
-    pub fn push_on(&self, instrument: &[BodyId]) -> Push {
-        // An engine force is SCALE³ (mass) · SCALE (length) of the real one.
-        let newtons = SUBSTEPS_PER_SECOND / (SCALE * SCALE * SCALE);
-        let mut push = Push::NONE;
-        for handle in instrument.iter().flat_map(|body| self.bodies[body.0].colliders()) {
-            let collider = &self.colliders[*handle];
-            for pair in self.narrow_phase.contact_pairs_with(*handle) {
-                // Contact normals point from the first collider to the second.
-                let first = pair.collider1 == *handle;
-                let met = if first { pair.collider2 } else { pair.collider1 };
-                let owner = self.colliders[met].parent();
-                if instrument.iter().any(|body| Some(body.0) == owner) {
-                    continue;
-                }
-                let sign = if first { -newtons } else { newtons };
-                let mut touches = false;
-                for manifold in pair.manifolds() {
-                    let normal = frames::from_engine_vector(manifold.data.normal);
-                    for contact in &manifold.points {
-                        let force = normal * (sign * f64::from(contact.data.impulse));
-                        push.force += force;
-                        touches |= contact.data.impulse > 0.0;
-                        if force.norm() > push.strongest {
-                            let local = if first { contact.local_p1 } else { contact.local_p2 };
-                            let point = collider.position().transform_point(local);
-                            push.strongest = force.norm();
-                            push.point = frames::from_engine_vector(point).into();
-                        }
-                    }
-                }
-                if touches {
-                    push.overlap = push.overlap.or(self.overlap_of(met, instrument));
-                }
-            }
-        }
-        push
-    }
-
-    /// Whether two bodies pressed on each other in the last substep.
-    pub fn touch(&self, one: BodyId, other: BodyId) -> bool {
-        self.bodies[one.0].colliders().iter().any(|handle| {
-            self.narrow_phase.contact_pairs_with(*handle).any(|pair| {
-                let met = if pair.collider1 == *handle { pair.collider2 } else { pair.collider1 };
-                self.colliders[met].parent() == Some(other.0)
-                    && pair
-                        .manifolds()
-                        .iter()
-                        .flat_map(|each| &each.points)
-                        .any(|c| c.data.impulse > 0.0)
-            })
-        })
-    }
-
-    /// Deepest overlap of any part of the body that `part` belongs to; without that with the bodies of
-    /// `instrument` where these squeeze it.
-    fn overlap_of(&self, part: ColliderHandle, instrument: &[BodyId]) -> Overlap {
-        let body = self.colliders[part].parent().expect("every collider belongs to a body");
-        let touching = instrument.iter().filter(|each| self.touch(**each, BodyId(body)));
-        let is_squeezed = touching.count() > 1;
-        let is_instruments = |part: ColliderHandle| {
-            let parent = self.colliders[part].parent();
-            instrument.iter().any(|body| Some(body.0) == parent)
-        };
-        let mut deepest = Overlap::NONE;
-        for part in self.bodies[body].colliders() {
-            for pair in self.narrow_phase.contact_pairs_with(*part) {
-                let first = pair.collider1 == *part;
-                let other = if first { pair.collider2 } else { pair.collider1 };
-                let by_instrument = is_instruments(other);
-                if by_instrument && is_squeezed {
-                    continue;
-                }
-                // Normals point from the first collider to the second. What moves is the instrument, and
-                // the object with it.
-                let sign = if first == by_instrument { -1.0 } else { 1.0 };
-                let at = self.colliders[*part].position();
-                for manifold in pair.manifolds() {
-                    for contact in &manifold.points {
-                        let depth = -f64::from(contact.dist) / SCALE;
-                        if depth > deepest.depth {
-                            let local = if first { contact.local_p1 } else { contact.local_p2 };
-                            let point =
-                                frames::from_engine_vector(at.transform_point(local)).into();
-                            let normal = frames::from_engine_vector(manifold.data.normal);
-                            deepest = Overlap { depth, point, into: normal * (sign * SCALE) };
-                        }
-                    }
-                }
-            }
-        }
-        deepest
     }
 
     /// Positions and velocities of all free objects, as bits.

@@ -166,18 +166,7 @@ impl Task for BiPegTransfer {
     const ID: &'static str = "BiPegTransfer-v0";
 
     fn options() -> Vec<OptionSpec> {
-        let [grasp, grasp_distance] = options::grasp();
-        vec![
-            options::reward(),
-            grasp,
-            grasp_distance,
-            options::action(),
-            options::observation(),
-            options::preset(),
-            start::option(),
-            options::grasp_domain(),
-            options::setup(&PsmArm::setup_rows(2)),
-        ]
+        objects::options(2, [start::option()])
     }
 
     fn new(options: &Options) -> Result<(Self, World), Rejection> {

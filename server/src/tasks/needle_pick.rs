@@ -147,19 +147,7 @@ impl Task for NeedlePick {
     const ID: &'static str = "NeedlePick-v0";
 
     fn options() -> Vec<OptionSpec> {
-        let [grasp, grasp_distance] = options::grasp();
-        vec![
-            options::reward(),
-            grasp,
-            grasp_distance,
-            options::action(),
-            options::observation(),
-            options::preset(),
-            options::spawn(),
-            start::option(),
-            options::grasp_domain(),
-            options::setup(&PsmArm::setup_rows(1)),
-        ]
+        objects::options(1, [options::spawn(), start::option()])
     }
 
     fn new(options: &Options) -> Result<(Self, World), Rejection> {

@@ -195,17 +195,7 @@ impl Task for NeedleRegrasp {
     const ID: &'static str = "NeedleRegrasp-v0";
 
     fn options() -> Vec<OptionSpec> {
-        let [grasp, grasp_distance] = options::grasp();
-        vec![
-            options::reward(),
-            grasp,
-            grasp_distance,
-            options::action(),
-            options::observation(),
-            options::preset(),
-            options::grasp_domain(),
-            options::setup(&PsmArm::setup_rows(2)),
-        ]
+        objects::options(2, [])
     }
 
     fn new(options: &Options) -> Result<(Self, World), Rejection> {

@@ -2,10 +2,10 @@
 
 use nalgebra::Vector3;
 use trocar_proto::goal::SuccessRule;
-use trocar_proto::spec::{Element, GoalSpec};
+use trocar_proto::spec::{Element, GoalSpec, OptionSpec};
 
 use super::options::{self, Preset};
-use super::psm_scene::{REACH, WORKSPACE};
+use super::psm_scene::{PsmArm, REACH, WORKSPACE};
 use crate::sim::frames::{self, Aabb, Pose};
 use crate::sim::random::Rng;
 
@@ -18,6 +18,22 @@ pub const THEATRE: Aabb = Aabb::new([0.292, -0.268, 0.60], [0.708, 0.268, 0.90])
 
 /// Distance below which the goal is reached, m. Source: the paper.
 pub const TOLERANCE: f64 = 0.005;
+
+/// The options of tasks in which PSMs, so many of them, grasp an object: those that all have, and `own`.
+pub fn options(arms: usize, own: impl IntoIterator<Item = OptionSpec>) -> Vec<OptionSpec> {
+    let [grasp, grasp_distance] = options::grasp();
+    let mut specs = vec![
+        options::reward(),
+        grasp,
+        grasp_distance,
+        options::action(),
+        options::observation(),
+        options::preset(),
+    ];
+    specs.extend(own);
+    specs.extend([options::grasp_domain(), options::setup(&PsmArm::setup_rows(arms))]);
+    specs
+}
 
 /// The elements of [`observe`] for the object `object` and its place to grasp `place`.
 pub fn observation_elements(object: &str, place: &str, preset: Preset) -> Vec<Element> {

@@ -138,18 +138,7 @@ impl Task for PegTransfer {
     const ID: &'static str = "PegTransfer-v0";
 
     fn options() -> Vec<OptionSpec> {
-        let [grasp, grasp_distance] = options::grasp();
-        vec![
-            options::reward(),
-            grasp,
-            grasp_distance,
-            options::action(),
-            options::observation(),
-            options::preset(),
-            start::option(),
-            options::grasp_domain(),
-            options::setup(&PsmArm::setup_rows(1)),
-        ]
+        objects::options(1, [start::option()])
     }
 
     fn new(options: &Options) -> Result<(Self, World), Rejection> {

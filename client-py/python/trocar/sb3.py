@@ -1,0 +1,185 @@
+"""Stable-Baselines3: the environments of one session as a ``VecEnv``.
+
+>>> from trocar.sb3 import make_vec
+>>> envs = make_vec("trocar/NeedleReach-v0", num_envs=8, seed=0)
+>>> observations = envs.reset()
+>>> goals = observations["achieved_goal"], observations["desired_goal"]
+>>> envs.env_method("compute_reward", *goals, {}, indices=[0])[0].shape
+(8,)
+>>> envs.close()
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+from gymnasium.vector import AutoresetMode
+from numpy.typing import NDArray
+from stable_baselines3.common.vec_env.base_vec_env import VecEnv, VecEnvStepReturn
+
+from trocar._goal import GoalFunctions
+from trocar.errors import InvalidEnvIds, InvalidOption, InvalidRequest, refuse
+from trocar.registration import NAMESPACE
+from trocar.vector import EPISODE, TrocarVectorEnv
+
+METHODS = tuple(name for name in vars(GoalFunctions) if name.startswith("compute_"))
+"""What :meth:`TrocarVecEnv.env_method` answers: functions of goals, without asking the server."""
+
+
+def make_vec(
+    task: str, num_envs: int = 1, *, seed: int | None = None, **options: Any
+) -> TrocarVecEnv:
+    """Opens a session of ``num_envs`` environments for Stable-Baselines3.
+
+    Args:
+        task: Gymnasium id, e.g. ``trocar/NeedleReach-v0``.
+        num_envs: How many environments.
+        seed: ``s`` for first episodes of the seeds ``s, s + 1, …``; a random one if ``None``. An
+            algorithm that is given a ``seed`` replaces it.
+        options: ``server``, ``expert`` and the task's options, as for :func:`gymnasium.make_vec`.
+
+    Raises:
+        ValueError: An option is unknown or not allowed; the message lists what is.
+    """
+    if not task.startswith(f"{NAMESPACE}/"):
+        raise refuse(InvalidOption, "task", task, f"allowed are the ids {NAMESPACE}/…")
+    envs = gym.make_vec(task, num_envs, autoreset_mode=AutoresetMode.SAME_STEP, **options)
+    assert isinstance(envs, TrocarVectorEnv)
+    return TrocarVecEnv(envs, seed=seed)
+
+
+class TrocarVecEnv(VecEnv):
+    """N environments of a task in one session of a server, as Stable-Baselines3 has them.
+
+    Between :meth:`step_async` and :meth:`step_wait` the server simulates. Info dicts hold
+    ``is_success`` and, where an episode ended, ``terminal_observation`` and
+    ``TimeLimit.truncated``; :attr:`reset_infos` tell which episodes began.
+
+    For hindsight replay, ``compute_reward`` is answered in this process. Returns of episodes are
+    recorded by Stable-Baselines3's ``VecMonitor``.
+    """
+
+    def __init__(self, envs: TrocarVectorEnv, *, seed: int | None = None) -> None:
+        """Takes over environments with ``same_step`` autoreset; closing it closes them.
+
+        Args:
+            envs: The environments.
+            seed: ``s`` for first episodes of the seeds ``s, s + 1, …``.
+
+        Raises:
+            ValueError: They have another autoreset mode.
+        """
+        if envs.autoreset_mode is not AutoresetMode.SAME_STEP:
+            raise refuse(
+                InvalidOption, "autoreset_mode", envs.autoreset_mode, "allowed is 'same_step'"
+            )
+        self.envs = envs
+        super().__init__(envs.num_envs, envs.single_observation_space, envs.single_action_space)
+        if seed is not None:
+            self.seed(seed)
+
+    def reset(self) -> Any:
+        """Begins new episodes, of the seeds set by :meth:`seed`; a step under way is dropped."""
+        if any(self._options):
+            raise refuse(InvalidOption, "options", self._options, "no reset options are known")
+        observations, infos = self.envs.reset(seed=self._seeds)
+        self._reset_seeds()
+        for row in range(self.num_envs):
+            self.reset_infos[row] = self._begun(infos, row)
+        return observations
+
+    def step_async(self, actions: NDArray[np.float32]) -> None:
+        """Starts a step; ``actions`` has shape (num_envs, action dim)."""
+        self.envs.send(actions)
+
+    def step_wait(self) -> VecEnvStepReturn:
+        """Waits for the step, and returns observations, rewards, dones and an info dict for each.
+
+        Where an episode ended, the observation is the first of the next one.
+        """
+        observations, rewards, terminations, truncations, infos = self.envs.recv()
+        dones = terminations | truncations
+        told = [{"is_success": success} for success in infos["is_success"].tolist()]
+        for row in np.flatnonzero(dones).tolist():
+            told[row]["terminal_observation"] = infos["final_obs"][row]
+            told[row]["TimeLimit.truncated"] = bool(truncations[row] and not terminations[row])
+            self.reset_infos[row] = self._begun(infos, row)
+        if "simulation_failed" in infos:
+            for row in np.flatnonzero(infos["simulation_failed"]).tolist():
+                told[row]["simulation_failed"] = True
+        if "expert_action" in infos:
+            for info, action in zip(told, infos["expert_action"], strict=True):
+                info["expert_action"] = action
+        return observations, rewards, dones, told
+
+    def env_method(
+        self,
+        method_name: str,
+        *method_args: Any,
+        indices: int | Iterable[int] | None = None,
+        **method_kwargs: Any,
+    ) -> list[Any]:
+        """What a function of goals gives: the same for each environment, so it is called once.
+
+        Raises:
+            ValueError: It is not one of :data:`METHODS`.
+        """
+        rows = self._rows(indices)
+        if method_name == "render":
+            images = self.get_images()
+            return [images[row] for row in rows]
+        if method_name not in METHODS:
+            allowed = f"allowed are {[*METHODS, 'render']}; the session as a whole is `envs`"
+            raise refuse(InvalidRequest, "method_name", method_name, allowed)
+        return [getattr(self.envs, method_name)(*method_args, **method_kwargs)] * len(rows)
+
+    def get_attr(self, attr_name: str, indices: int | Iterable[int] | None = None) -> list[Any]:
+        """An attribute of environments, which all have in common."""
+        single = f"single_{attr_name}" if attr_name.endswith("_space") else attr_name
+        return [getattr(self.envs, single)] * len(self._rows(indices))
+
+    def set_attr(
+        self, attr_name: str, value: Any, indices: int | Iterable[int] | None = None
+    ) -> None:
+        """Sets an attribute of all environments, which they have in common.
+
+        Raises:
+            ValueError: ``indices`` are not all of them.
+        """
+        if set(self._rows(indices)) != set(range(self.num_envs)):
+            allowed = "expected all, since the environments of a session share attributes"
+            raise refuse(InvalidEnvIds, "indices", indices, allowed)
+        self.envs.set_attr(attr_name, value)
+
+    def env_is_wrapped(
+        self, wrapper_class: type[gym.Wrapper], indices: int | Iterable[int] | None = None
+    ) -> list[bool]:
+        """Whether there is such a wrapper around single environments: never."""
+        del wrapper_class
+        return [False] * len(self._rows(indices))
+
+    def get_images(self) -> Sequence[NDArray[np.uint8] | None]:
+        """A picture of each environment, where they were made with a render mode."""
+        # The render modes that there are say what it returns; without one, that is nothing.
+        images: Any = self.envs.render()  # type: ignore[func-returns-value]
+        return [None] * self.num_envs if images is None else list(images)
+
+    def close(self) -> None:
+        """Ends the session; twice does no harm."""
+        self.envs.close()
+
+    def _begun(self, infos: dict[str, Any], row: int) -> dict[str, Any]:
+        """What there is to tell of the episode that began in an environment."""
+        told = {name: int(infos[name][row]) for name in EPISODE}
+        return told | {name: infos[name][row] for name in ("expert_action",) if name in infos}
+
+    def _rows(self, indices: int | Iterable[int] | None) -> list[int]:
+        """The environments that ``indices`` mean."""
+        rows = list(self._get_indices(indices))
+        if not all(-self.num_envs <= row < self.num_envs for row in rows):
+            allowed = f"allowed are numbers below {self.num_envs}"
+            raise refuse(InvalidEnvIds, "indices", indices, allowed)
+        return [row % self.num_envs for row in rows]

@@ -1,0 +1,285 @@
+"""Stable-Baselines3: the environments of a session as its ``VecEnv``."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from stable_baselines3 import DDPG, PPO, HerReplayBuffer
+from stable_baselines3.common.env_checker import check_env
+from stable_baselines3.common.env_util import make_vec_env
+from stable_baselines3.common.evaluation import evaluate_policy
+from stable_baselines3.common.monitor import Monitor
+from stable_baselines3.common.vec_env import (
+    DummyVecEnv,
+    VecEnv,
+    VecMonitor,
+    VecNormalize,
+)
+
+import trocar
+from trocar.sb3 import TrocarVecEnv, make_vec
+
+TASK = "trocar/NeedleReach-v0"
+STEPS = 50
+EPISODE = ("episode_seed", "episode_index")
+
+
+@pytest.fixture
+def envs(server: str) -> Iterator[TrocarVecEnv]:
+    """Three environments."""
+    made = make_vec(TASK, num_envs=3, seed=5, server=server)
+    yield made
+    made.close()
+
+
+def actions_of(envs: VecEnv, step: int) -> Any:
+    shape = (envs.num_envs, *envs.action_space.shape)  # type: ignore[misc]
+    return np.random.default_rng(step).uniform(-1, 1, shape).astype(np.float32)
+
+
+def same(left: Any, right: Any) -> bool:
+    """Whether observations have the same bits."""
+    if isinstance(left, dict):
+        return left.keys() == right.keys() and all(same(left[key], right[key]) for key in left)
+    return left.dtype == right.dtype and bool(np.array_equal(left, right))
+
+
+@pytest.mark.parametrize("task", [TASK, "trocar/EcmReach-v0", "trocar/ActiveTrack-v0"])
+def test_it_is_what_sb3_makes_of_single_environments(task: str, server: str) -> None:
+    ours = make_vec(task, num_envs=3, seed=5, server=server)
+    theirs = DummyVecEnv([lambda: gym.make(task, server=server)] * 3)
+    theirs.seed(5)
+    assert ours.observation_space == theirs.observation_space
+    assert ours.action_space == theirs.action_space
+    assert same(ours.reset(), theirs.reset())
+    assert ours.reset_infos == theirs.reset_infos
+    ends = 0
+    for step in range(510):
+        actions = actions_of(ours, step)
+        observations, rewards, dones, infos = ours.step(actions)
+        expected = theirs.step(actions)
+        assert same(observations, expected[0])
+        assert rewards.dtype == np.float32
+        assert (rewards == expected[1]).all()
+        assert (dones == expected[2]).all()
+        assert ours.reset_infos == theirs.reset_infos
+        for done, info, other in zip(dones, infos, expected[3], strict=True):
+            assert info["is_success"] == other["is_success"]
+            assert info.get("TimeLimit.truncated", False) == other["TimeLimit.truncated"]
+            assert ("terminal_observation" in info) == done
+            if done:
+                assert same(info["terminal_observation"], other["terminal_observation"])
+        ends += int(dones.sum())
+    assert ends >= 3
+    ours.close()
+    theirs.close()
+
+
+def test_the_terminal_observation_is_the_last_state_of_the_episode(
+    envs: TrocarVecEnv, server: str
+) -> None:
+    envs.reset()
+    single = trocar.TrocarEnv("NeedleReach-v0", server=server)
+    single.reset(seed=6)
+    for step in range(STEPS):
+        actions = actions_of(envs, step)
+        observations, _, dones, infos = envs.step(actions)
+        state, _, _, truncated, _ = single.step(actions[1])
+    assert truncated
+    assert dones.all()
+    assert all(info["TimeLimit.truncated"] is True for info in infos)
+    assert same(infos[1]["terminal_observation"], state)
+    begun, info = single.reset()
+    assert same({name: rows[1] for name, rows in observations.items()}, begun)  # type: ignore
+    assert envs.reset_infos[1] == info
+    single.close()
+
+
+def test_episodes_count_on_from_the_seed(envs: TrocarVecEnv) -> None:
+    envs.reset()
+    assert [info["episode_seed"] for info in envs.reset_infos] == [5, 6, 7]
+    envs.seed(40)
+    first = envs.reset()
+    assert [info["episode_seed"] for info in envs.reset_infos] == [40, 41, 42]
+    for step in range(STEPS):
+        envs.step(actions_of(envs, step))
+    assert [tuple(info[name] for name in EPISODE) for info in envs.reset_infos] == [
+        (40, 1),
+        (41, 1),
+        (42, 1),
+    ]
+    envs.reset()
+    assert [info["episode_index"] for info in envs.reset_infos] == [2, 2, 2]
+    envs.seed(40)
+    assert same(envs.reset(), first)
+
+
+def test_a_step_goes_on_while_the_trainer_works(envs: TrocarVecEnv) -> None:
+    first = envs.reset()
+    envs.step_async(actions_of(envs, 0))
+    with pytest.raises(trocar.errors.InvalidEnvIds):
+        envs.step_async(actions_of(envs, 0))
+    stepped, _, _, _ = envs.step_wait()
+    with pytest.raises(trocar.errors.NothingInFlight):
+        envs.step_wait()
+    envs.step_async(actions_of(envs, 1))
+    envs.seed(5)
+    assert same(envs.reset(), first)  # a step under way is dropped
+    assert same(envs.step(actions_of(envs, 0))[0], stepped)
+
+
+def test_methods_of_goals_are_answered_here(envs: TrocarVecEnv) -> None:
+    goals = np.random.default_rng(0).uniform(-0.004, 0.004, (2, 64, 3)).astype(np.float32)
+    envs.close()  # there is no session to ask any more
+    rewards = envs.env_method("compute_reward", goals[0], goals[1], [{}] * 64, indices=[0])
+    assert len(rewards) == 1
+    distances = np.linalg.norm(goals[0] - goals[1], axis=1)
+    assert (rewards[0] == np.where(distances < 0.005, 0, -1)).all()
+    assert 0 < (rewards[0] == 0).sum() < 64
+    assert len(envs.env_method("compute_success", goals[0], goals[1])) == 3
+    with pytest.raises(ValueError, match="compute_reward"):
+        envs.env_method("reset")
+
+
+def test_attributes_are_shared(envs: TrocarVecEnv) -> None:
+    assert envs.get_attr("render_mode") == [None] * 3
+    assert envs.get_attr("action_space", indices=[1]) == [envs.action_space]
+    assert not envs.has_attr("no_such_attribute")
+    assert envs.env_is_wrapped(Monitor, indices=0) == [False]
+    envs.set_attr("note", "all")
+    assert envs.get_attr("note", indices=[2, 0]) == ["all", "all"]
+    with pytest.raises(ValueError, match="indices"):
+        envs.set_attr("note", "one", indices=[1])
+    with pytest.raises(ValueError, match="below 3"):
+        envs.get_attr("note", indices=[3])
+    assert list(envs.get_images()) == [None] * 3
+
+
+def test_what_is_not_allowed_is_refused(envs: TrocarVecEnv, server: str) -> None:
+    with pytest.raises(ValueError, match="autoreset_mode"):
+        TrocarVecEnv(trocar.TrocarVectorEnv("NeedleReach-v0", 2, server=server))
+    with pytest.raises(ValueError, match="trocar/"):
+        make_vec("CartPole-v1", num_envs=2)
+    envs.set_options({"reset_mask": [True]})
+    with pytest.raises(ValueError, match="no reset options"):
+        envs.reset()
+    envs.set_options()
+    envs.reset()
+
+
+def test_expert_actions_are_in_the_infos(server: str) -> None:
+    envs = make_vec(TASK, num_envs=4, seed=0, server=server, expert=True)
+    envs.reset()
+    actions = np.array([info["expert_action"] for info in envs.reset_infos])
+    for _ in range(STEPS):
+        *_, dones, infos = envs.step(actions)
+        actions = np.array([info["expert_action"] for info in infos])
+    assert dones.all()
+    assert all(info["is_success"] is True for info in infos)
+    envs.close()
+
+
+def test_hindsight_rewards_are_those_of_the_server(server: str) -> None:
+    envs = make_vec(TASK, num_envs=4, server=server)
+    replay = {"n_sampled_goal": 4, "goal_selection_strategy": "future"}
+    model = DDPG(
+        "MultiInputPolicy",
+        envs,
+        seed=0,
+        learning_starts=400,
+        train_freq=1,
+        gradient_steps=1,
+        buffer_size=4000,
+        replay_buffer_class=HerReplayBuffer,
+        replay_buffer_kwargs=replay,
+        policy_kwargs={"net_arch": [16]},
+    )
+    model.learn(480)
+    buffer = model.replay_buffer
+    assert isinstance(buffer, HerReplayBuffer)
+    assert buffer.env is envs
+    batch = buffer.sample(1000)
+    achieved = batch.next_observations["achieved_goal"].numpy()
+    desired = batch.next_observations["desired_goal"].numpy()
+    rewards = batch.rewards.numpy()[:, 0]
+    expected = envs.envs.compute_reward(achieved, desired)
+    assert (rewards == expected).all()
+    assert 0 < (rewards == 0).sum() < 1000
+    # What the buffer stored unchanged got its reward from the server.
+    stored = buffer.rewards[: buffer.pos]
+    goals = (
+        buffer.next_observations[name][: buffer.pos] for name in ("achieved_goal", "desired_goal")
+    )
+    assert (stored == envs.envs.compute_reward(*goals)).all()
+    # Time limits are no ends: values go on behind them.
+    assert buffer.dones[STEPS - 1].all()
+    assert buffer.timeouts[STEPS - 1].all()
+    assert not batch.dones.any()
+    envs.close()
+
+
+def test_sb3s_wrappers_and_evaluation(server: str) -> None:
+    envs = VecMonitor(make_vec(TASK, num_envs=4, seed=0, server=server, reward="dense"))
+    normalized = VecNormalize(envs, gamma=0.9)
+    model = PPO("MultiInputPolicy", normalized, n_steps=64, batch_size=64, seed=0)
+    model.learn(512)
+    assert len(model.ep_success_buffer) == len(model.ep_info_buffer) == 8  # type: ignore[arg-type]
+    assert all(episode["l"] == STEPS for episode in model.ep_info_buffer)  # type: ignore[union-attr]
+    normalized.training = normalized.norm_reward = False
+    returns, lengths = evaluate_policy(model, normalized, 6, return_episode_rewards=True)
+    assert lengths == [STEPS] * 6
+    assert all(-0.2 * STEPS < value < 0 for value in returns)  # type: ignore[union-attr]
+    normalized.close()
+
+
+@pytest.mark.filterwarnings("ignore:.*render_mode='rgb_array':UserWarning")
+def test_sb3_makes_environments_by_their_ids(server: str) -> None:
+    envs = make_vec_env(TASK, 2, seed=5, env_kwargs={"server": server})
+    ours = make_vec(TASK, 2, seed=5, server=server)
+    assert same(envs.reset(), ours.reset())
+    envs.close()
+    ours.close()
+
+
+def test_sb3_finds_nothing_wrong_with_single_environments(server: str) -> None:
+    env = trocar.TrocarEnv("NeedleReach-v0", server=server)
+    check_env(env)
+    env.close()
+
+
+def test_sb3s_subprocesses_share_one_private_server(script: Any) -> None:
+    """In a process tree of its own, so that it has a private server."""
+    process = script(SUBPROCESSES, TROCAR_BINARY=trocar.binary())
+    out, _ = process.communicate(timeout=120)
+    assert process.returncode == 0
+    assert out.split() == ["3", "sessions,", "all", "the", "same"]
+
+
+SUBPROCESSES = """
+import numpy as np, trocar
+from stable_baselines3.common.env_util import make_vec_env
+from stable_baselines3.common.vec_env import SubprocVecEnv
+from trocar.sb3 import make_vec
+
+if __name__ == "__main__":
+    options = {"vec_env_cls": SubprocVecEnv, "env_kwargs": {"render_mode": None}}
+    theirs = make_vec_env("trocar/NeedleReach-v0", 3, seed=5, **options)
+    first = theirs.reset()
+    sessions = len(trocar.status()["sessions"])
+    ours = make_vec("trocar/NeedleReach-v0", 3, seed=5)
+    begun = ours.reset()
+    assert all((begun[name] == first[name]).all() for name in first)
+    for step in range(60):
+        actions = np.random.default_rng(step).uniform(-1, 1, (3, 5)).astype(np.float32)
+        left, right = theirs.step(actions), ours.step(actions)
+        assert all((left[0][name] == right[0][name]).all() for name in first)
+        assert (left[1] == right[1]).all() and (left[2] == right[2]).all()
+    theirs.close()
+    assert len(trocar.status()["sessions"]) == 1
+    ours.close()
+    print(sessions, "sessions, all the same")
+"""
