@@ -153,7 +153,7 @@ class Connection:
         """Resets environments; a reset of all opens the session anew where that is needed."""
         self._ready(everything=env_ids is None)
         reply = self._try(lambda session: session.reset(env_ids, seeds))
-        if env_ids is None:
+        if env_ids is None and seeds is not None:
             self._seeds = seeds
         return reply
 
@@ -268,10 +268,10 @@ class Connection:
                     raise
             time.sleep(pause)
             pause = min(2.0 * pause, LONGEST_PAUSE)
-        where = "the latest checkpoint" if resumed == "snapshot" else "the latest reset"
+        where = "the latest checkpoint" if resumed == "snapshot" else "a reset"
         told = Reconnected(
-            f"{lost}; the session was opened again and goes on from {where}; what was asked for was "
-            "not carried out"
+            f"{lost}; the session was opened again and goes on from {where}; what was asked for "
+            "was not carried out"
         )
         told.resumed = resumed
         told.observation, told.info = self._shown(reply)

@@ -66,9 +66,9 @@ class TrocarEnv(GoalFunctions, gym.Env[Observation, NDArray[np.float32]]):
             expert: Whether ``info["expert_action"]`` shall hold the scripted expert's action.
             copy: With ``False``, observations are read-only views of shared memory, valid until
                 the next step but one.
-            reconnect: Whether to survive the loss of the server: for how many seconds another of its
-                name is waited for (``True``: 60). Then :class:`~trocar.errors.Reconnected` says where
-                the environment goes on; see :meth:`checkpoint`.
+            reconnect: Whether to survive the loss of the server: for how many seconds another of
+                its name is waited for (``True``: 60). Then :class:`~trocar.errors.Reconnected`
+                says where the environment goes on; see :meth:`checkpoint`.
             options: The task's options; ``task_spec.options`` lists them.
 
         Raises:
@@ -133,7 +133,10 @@ class TrocarEnv(GoalFunctions, gym.Env[Observation, NDArray[np.float32]]):
         return self._connection.snapshot()
 
     def checkpoint(self) -> None:
-        """Saves the present state in this process: where ``reconnect`` goes on. One is kept."""
+        """Saves the present state in this process: where ``reconnect`` goes on.
+
+        The one before is forgotten.
+        """
         self._connection.checkpoint()
 
     def restore(self, snapshot: Snapshot) -> Observation:

@@ -97,8 +97,8 @@ class Reconnected(ServerLost):
     """
 
     resumed: str = "reset"
-    """``"snapshot"``: they go on from the latest ``checkpoint()``. ``"reset"``: they begin anew, with
-    the seeds of the latest ``reset`` of all, since there was no checkpoint."""
+    """``"snapshot"``: they go on from the latest ``checkpoint()``. ``"reset"``: they begin anew,
+    with the latest seeds that all of them were given, since there was no checkpoint."""
     observation: Any = None
     """What is observed there, as ``reset`` returns it."""
     info: dict[str, Any] | None = None

@@ -76,9 +76,9 @@ class TrocarVectorEnv(
             expert: Whether ``infos["expert_action"]`` shall hold the scripted expert's actions.
             copy: With ``False``, observations are read-only views of shared memory, valid until
                 the next step but one.
-            reconnect: Whether to survive the loss of the server: for how many seconds another of its
-                name is waited for (``True``: 60). Then :class:`~trocar.errors.Reconnected` says where
-                all environments go on; see :meth:`checkpoint`.
+            reconnect: Whether to survive the loss of the server: for how many seconds another of
+                its name is waited for (``True``: 60). Then :class:`~trocar.errors.Reconnected`
+                says where all environments go on; see :meth:`checkpoint`.
             options: The task's options; ``task_spec.options`` lists them.
 
         Raises:
@@ -199,9 +199,9 @@ class TrocarVectorEnv(
         return self._connection.snapshot(None if env_ids is None else self._env_ids(env_ids))
 
     def checkpoint(self) -> None:
-        """Saves the present states of all in this process: where ``reconnect`` goes on. One is kept.
+        """Saves the present states of all in this process: where ``reconnect`` goes on.
 
-        None of them may be under way by :meth:`send`.
+        The one before is forgotten. None of them may be under way by :meth:`send`.
         """
         self._connection.checkpoint()
 

@@ -241,27 +241,21 @@ impl Host {
     fn drain(mut self, port: &ports::Port, bell: &ports::Bell, limit: Duration) {
         let start = Instant::now();
         self.sessions.values().for_each(SessionHandle::finish);
-        while self.sessions.values().any(|handle| !handle.has_ended()) {
+        while !self.sessions.values().chain(&self.ending).all(SessionHandle::has_ended) {
             if self.stop.is_urgent() || start.elapsed() > limit {
                 break;
             }
             self.answer_waiting(port);
             bell.timed_wait(|_| {}, Duration::from_millis(2)).ok();
         }
-        let sessions = std::mem::take(&mut self.sessions);
-        for (id, handle) in sessions {
-            if !handle.has_ended() {
-                tracing::warn!(session = id, "left behind: it has not answered yet");
+        for handle in self.sessions.into_values().chain(self.ending) {
+            if handle.has_ended() {
+                handle.join(&self.ground.meter);
+            } else {
+                tracing::warn!(session = handle.id(), "left behind: it has not answered yet");
                 handle.stop("shutdown");
-                continue;
             }
-            // Whatever it created in shared memory must be there before it is removed.
-            handle.join(&self.ground.meter);
         }
-        self.ending
-            .drain(..)
-            .filter(SessionHandle::has_ended)
-            .for_each(|handle| handle.join(&self.ground.meter));
     }
 
     fn used(&self) -> Footprint {

@@ -189,6 +189,10 @@ impl SessionHandle {
         self.shared.with_store(|store| store.import(bytes))
     }
 
+    pub(super) fn id(&self) -> u64 {
+        self.shared.id
+    }
+
     pub(super) fn envs(&self) -> u32 {
         self.shared.envs
     }
