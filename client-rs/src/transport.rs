@@ -16,7 +16,7 @@ use iceoryx2::port::notifier::Notifier;
 use iceoryx2::prelude::{Alignment, EventId, ServiceName};
 use iceoryx2::response::Response;
 use trocar_proto::control::{self, ControlReply, ControlRequest, MAX_MESSAGE, SessionInfo};
-use trocar_proto::endpoint::{self, LEAST_WAIT, Membership, Node, ServerState, Transport};
+use trocar_proto::endpoint::{self, LEAST_WAIT, Membership, Node, ServerState, Transport, Vigil};
 use trocar_proto::wire::{ALIGNMENT, Header};
 use trocar_proto::{Code, Rejection};
 
@@ -50,8 +50,19 @@ impl<T> Owned<T> {
 
     /// The value, unless this is a forked child of the process that made it.
     pub(crate) fn get(&self) -> Result<&T, CallError> {
+        self.check()?;
+        Ok(&self.value)
+    }
+
+    /// As [`Self::get`].
+    pub(crate) fn get_mut(&mut self) -> Result<&mut T, CallError> {
+        self.check()?;
+        Ok(&mut self.value)
+    }
+
+    fn check(&self) -> Result<(), CallError> {
         if self.process == std::process::id() {
-            Ok(&self.value)
+            Ok(())
         } else {
             Err(CallError::Forked { owner: self.process })
         }
@@ -191,6 +202,7 @@ pub(crate) struct DataPort {
     port: Port,
     bell: Notifier<Transport>,
     reply_bell: Listener<Transport>,
+    vigil: Vigil,
     request_bytes: usize,
     session: u64,
     link: Arc<Owned<Link>>,
@@ -229,6 +241,7 @@ impl DataPort {
             port,
             bell: request_bell.notifier_builder().create().map_err(transport("request bell"))?,
             reply_bell: reply_bell.listener_builder().create().map_err(transport("reply bell"))?,
+            vigil: Vigil::new(),
             request_bytes,
             session,
             link,
@@ -252,20 +265,27 @@ impl DataPort {
     /// Waits at most `patience` for the reply to `pending`; checks that the server lives whenever
     /// a wait was in vain.
     pub(crate) fn receive(
-        &self,
+        &mut self,
         pending: &RawPending,
         patience: Duration,
     ) -> Result<Option<RawReply>, CallError> {
         let deadline = Instant::now() + patience;
+        self.vigil.begin();
         loop {
             // Asked before the reply is looked for: a server answers, and then lets go.
             let held = pending.number_of_server_connections() > 0 && pending.is_connected();
             match pending.receive() {
-                Ok(Some(reply)) => return Ok(Some(reply)),
+                Ok(Some(reply)) => {
+                    self.vigil.end();
+                    return Ok(Some(reply));
+                }
                 Ok(None) if held => {}
                 Ok(None) => return Err(self.why_unanswered()),
                 Err(ReceiveError::ExceedsMaxBorrows) => return Err(CallError::TooManyHeld),
                 Err(error) => return Err(transport("reply")(error)),
+            }
+            if self.vigil.keep() {
+                continue;
             }
             let left = deadline.saturating_duration_since(Instant::now());
             if left.is_zero() {

@@ -45,6 +45,12 @@ struct Waiter {
     called: AtomicBool,
 }
 
+thread_local! {
+    /// This thread, which waits for one turn at a time.
+    static WAITER: Arc<Waiter> =
+        Arc::new(Waiter { thread: std::thread::current(), called: AtomicBool::new(false) });
+}
+
 impl Scheduler {
     /// A scheduler of `threads` threads.
     pub(crate) fn new(threads: usize) -> Result<Self, rayon::ThreadPoolBuildError> {
@@ -89,13 +95,14 @@ impl Scheduler {
     fn acquire(&self, most: usize) -> Turn<'_> {
         let mut turns = self.lock();
         if turns.free == 0 || !turns.waiting.is_empty() {
-            let waiter =
-                Arc::new(Waiter { thread: std::thread::current(), called: AtomicBool::new(false) });
-            turns.waiting.push_back(Arc::clone(&waiter));
-            drop(turns);
-            while !waiter.called.load(Ordering::Acquire) {
-                std::thread::park();
-            }
+            WAITER.with(|waiter| {
+                waiter.called.store(false, Ordering::Relaxed);
+                turns.waiting.push_back(Arc::clone(waiter));
+                drop(turns);
+                while !waiter.called.load(Ordering::Acquire) {
+                    std::thread::park();
+                }
+            });
             return Turn { scheduler: self, threads: 1 };
         }
         let threads = turns.free.min(most);

@@ -11,7 +11,7 @@ use iceoryx2::prelude::EventId;
 use trocar_proto::control::{
     self, ClientInfo, ControlReply, SessionInfo, SessionRequest, SessionStatus,
 };
-use trocar_proto::endpoint::Node;
+use trocar_proto::endpoint::{Node, Vigil};
 use trocar_proto::wire::{Header, ReplyLayout, RequestLayout, flag, kind};
 use trocar_proto::{Code, Rejection};
 
@@ -27,10 +27,6 @@ use crate::tasks::Registry;
 
 /// How long an idle session sleeps before it looks whether it should end.
 const SLICE: Duration = Duration::from_millis(100);
-
-/// How long a session offers its core to others before it sleeps: a client that answers at once
-/// then needs no wake-up. Longer would keep a core from those that could use it.
-const OFFER: Duration = Duration::from_micros(20);
 
 /// What all sessions of a server share.
 pub(super) struct Ground {
@@ -246,17 +242,18 @@ impl Session {
         let (id, task, envs) = (self.shared.id, self.shared.task.clone(), self.shared.envs);
         tracing::debug!(session = id, task, envs, pid = self.shared.client.pid, "session opened");
         let mut active = Instant::now();
+        let mut vigil = Vigil::new();
         while !self.shared.stop.load(Ordering::Acquire) {
             match self.ports.port.receive() {
                 Ok(Some(request)) => {
+                    vigil.end();
                     let start = Instant::now();
                     let steps = self.answer(&request);
                     self.note(start, steps);
                     active = Instant::now();
+                    vigil.begin();
                 }
-                Ok(None) if active.elapsed() < OFFER && !self.ground.scheduler.is_busy() => {
-                    std::thread::yield_now();
-                }
+                Ok(None) if !self.ground.scheduler.is_busy() && vigil.keep() => {}
                 Ok(None) => {
                     if active.elapsed() > self.ground.idle_limit {
                         tracing::info!(session = id, "closed at the idle limit");
@@ -276,7 +273,7 @@ impl Session {
     /// Answers one request; returns the number of environments that it moved on.
     fn answer(&mut self, request: &Request) -> u64 {
         let asked = *request.user_header();
-        let mut response = match request.loan_slice(self.reply_layout.bytes) {
+        let mut response = match ports::loan(request, self.reply_layout.bytes) {
             Ok(response) => response,
             Err(error) => {
                 tracing::warn!(session = self.shared.id, ?error, "no room for a reply");
