@@ -1,10 +1,5 @@
 //! The only file of the client that knows the transport.
-//!
-//! Objects of the transport must not be dropped by a forked child: they would remove shared
-//! memory that the parent still uses. [`Owned`] sees to that.
 
-use std::mem::ManuallyDrop;
-use std::ops::Deref;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
@@ -21,6 +16,7 @@ use trocar_proto::wire::{ALIGNMENT, Header};
 use trocar_proto::{Code, Rejection};
 
 use crate::error::CallError;
+pub(crate) use crate::owned::Owned;
 
 /// How long a wait may last before the server's life is checked.
 pub(crate) const SLICE: Duration = Duration::from_millis(100);
@@ -35,57 +31,6 @@ pub(crate) type RawReply = Response<Transport, [u8], Header>;
 pub(crate) type RawPending = PendingResponse<Transport, [u8], Header, [u8], Header>;
 
 type Port = ClientPort<Transport, [u8], Header, [u8], Header>;
-
-/// A value that only the process that made it may drop.
-#[derive(Debug)]
-pub(crate) struct Owned<T> {
-    value: ManuallyDrop<T>,
-    process: u32,
-}
-
-impl<T> Owned<T> {
-    pub(crate) fn new(value: T) -> Self {
-        Self { value: ManuallyDrop::new(value), process: std::process::id() }
-    }
-
-    /// The value, unless this is a forked child of the process that made it.
-    pub(crate) fn get(&self) -> Result<&T, CallError> {
-        self.check()?;
-        Ok(&self.value)
-    }
-
-    /// As [`Self::get`].
-    pub(crate) fn get_mut(&mut self) -> Result<&mut T, CallError> {
-        self.check()?;
-        Ok(&mut self.value)
-    }
-
-    fn check(&self) -> Result<(), CallError> {
-        if self.process == std::process::id() {
-            Ok(())
-        } else {
-            Err(CallError::Forked { owner: self.process })
-        }
-    }
-}
-
-impl<T> Deref for Owned<T> {
-    type Target = T;
-
-    fn deref(&self) -> &T {
-        &self.value
-    }
-}
-
-impl<T> Drop for Owned<T> {
-    #[allow(unsafe_code)]
-    fn drop(&mut self) {
-        if self.process == std::process::id() {
-            // SAFETY: the value is dropped here only, and not touched afterwards.
-            unsafe { ManuallyDrop::drop(&mut self.value) }
-        }
-    }
-}
 
 /// Names an operation of the transport that failed.
 pub(crate) fn transport<E: std::fmt::Debug>(what: &'static str) -> impl FnOnce(E) -> CallError {

@@ -136,7 +136,9 @@ impl DataPorts {
             .map_err(internal("data service"))?;
         let bell = |name: String| {
             let service = node.service_builder(&service_name(&name)).event();
-            let service = service.max_listeners(1).max_notifiers(1).max_nodes(2).create();
+            // Taking a bell down looks at every event there could be: there is only 0.
+            let service = service.event_id_max_value(0).max_listeners(1).max_notifiers(1);
+            let service = service.max_nodes(2).create();
             service.map_err(internal("session bell"))
         };
         let request_bell = bell(endpoint::request_bell(epoch, session))?;
