@@ -8,7 +8,9 @@
 * ``session``: ``trocar.TrocarVectorEnv``, one session of one server, stepped by one message.
 
 Both use all cores, random actions from one pool, next-step autoreset and the same task options.
-They are measured in turns; the ratio is the median over the pairs.
+They are measured in turns; ratios are medians over the pairs. Beside the wall clock stands the CPU
+time of all processes that take part: on a machine with other work, 64 workers get a larger share
+of the cores than one server does, and only steps per CPU second can be compared.
 """
 
 from __future__ import annotations
@@ -16,16 +18,19 @@ from __future__ import annotations
 import argparse
 import ctypes
 import json
+import os
 import statistics
 import sys
 import time
 from collections.abc import Callable
-from typing import Any
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import gymnasium as gym
 import numpy as np
 
 import trocar
+from trocar import _connection
 
 POOL = 64
 """Random actions are drawn before they are needed, for so many steps."""
@@ -90,14 +95,33 @@ class InProcess(gym.Env[dict[str, np.ndarray], np.ndarray]):
         self._library.trocar_free(self._env)
 
 
-def rate(envs: gym.vector.VectorEnv[Any, Any, Any], pool: np.ndarray, seconds: float) -> float:
-    """Environment steps per second."""
-    rounds, start = 0, time.perf_counter()
+class Rate(NamedTuple):
+    """Environment steps per second of wall time, and of CPU time."""
+
+    wall: float
+    cpu: float
+
+
+def cpu_seconds(pids: list[int]) -> float:
+    """CPU time of some processes with all of their threads."""
+    ticks = 0
+    for pid in pids:
+        fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+        ticks += int(fields[11]) + int(fields[12])
+    return ticks / os.sysconf("SC_CLK_TCK")
+
+
+def measure(
+    envs: gym.vector.VectorEnv[Any, Any, Any], pids: list[int], pool: np.ndarray, seconds: float
+) -> Rate:
+    """Steps for so long; ``pids`` are the processes that take part."""
+    rounds, start, cpu = 0, time.perf_counter(), cpu_seconds(pids)
     while (elapsed := time.perf_counter() - start) < seconds:
         for actions in pool:
             envs.step(actions)
         rounds += len(pool)
-    return rounds * envs.num_envs / elapsed
+    steps = rounds * envs.num_envs
+    return Rate(steps / elapsed, steps / (cpu_seconds(pids) - cpu))
 
 
 def compare(task: str, arguments: argparse.Namespace) -> dict[str, Any]:
@@ -112,29 +136,29 @@ def compare(task: str, arguments: argparse.Namespace) -> dict[str, Any]:
     workers = gym.vector.AsyncVectorEnv(made, shared_memory=True)
     shape = (POOL, *(session.action_space.shape or ()))
     pool = np.random.default_rng(0).uniform(-1, 1, shape).astype(np.float32)
-    both = {"async": workers, "session": session}
-    rates: dict[str, list[float]] = {name: [] for name in both}
-    for envs in both.values():
+    here, server = os.getpid(), _connection.connect(arguments.server).pid
+    both: dict[str, tuple[gym.vector.VectorEnv[Any, Any, Any], list[int]]] = {
+        "async": (workers, [here, *(process.pid or 0 for process in workers.processes)]),
+        "session": (session, [here, server]),
+    }
+    rates: dict[str, list[Rate]] = {name: [] for name in both}
+    for envs, pids in both.values():
         envs.reset(seed=0)
-        rate(envs, pool, arguments.seconds / 4)
+        measure(envs, pids, pool, arguments.seconds / 4)
     for _ in range(arguments.pairs):
-        for name, envs in both.items():
-            rates[name].append(rate(envs, pool, arguments.seconds))
+        for name, (envs, pids) in both.items():
+            rates[name].append(measure(envs, pids, pool, arguments.seconds))
     workers.close()
     session.close()
-    ratios = sorted(
-        mine / theirs for mine, theirs in zip(rates["session"], rates["async"], strict=True)
-    )
-    return {
-        "task": task,
-        "envs": arguments.envs,
-        "pairs": arguments.pairs,
-        "async_steps_per_second": statistics.median(rates["async"]),
-        "session_steps_per_second": statistics.median(rates["session"]),
-        "ratio": statistics.median(ratios),
-        "ratio_min": ratios[0],
-        "ratio_max": ratios[-1],
-    }
+    found: dict[str, Any] = {"task": task, "envs": arguments.envs, "pairs": arguments.pairs}
+    for clock in Rate._fields:
+        ratios = []
+        for mine, theirs in zip(rates["session"], rates["async"], strict=True):
+            ratios.append(getattr(mine, clock) / getattr(theirs, clock))
+        for name, several in rates.items():
+            found[f"{name}_{clock}"] = statistics.median(getattr(rate, clock) for rate in several)
+        found |= {f"ratio_{clock}": statistics.median(ratios), f"spread_{clock}": sorted(ratios)}
+    return found
 
 
 def main() -> None:
@@ -152,12 +176,15 @@ def main() -> None:
         found = compare(task, arguments)
         if arguments.json:
             print(json.dumps(found), flush=True)
-        line = (
-            "{task}, {envs} environments: async {async_steps_per_second:.0f} steps/s, "
-            "session {session_steps_per_second:.0f} steps/s, "
-            "ratio {ratio:.2f} [{ratio_min:.2f}, {ratio_max:.2f}] over {pairs} pairs"
-        )
-        print(line.format(**found), file=sys.stderr, flush=True)
+        for clock in Rate._fields:
+            low, *_, high = found[f"spread_{clock}"]
+            theirs, mine = found[f"async_{clock}"], found[f"session_{clock}"]
+            line = (
+                f"{task:<15} {arguments.envs} envs, steps per {clock} second: "
+                f"async {theirs:.0f}, session {mine:.0f}, "
+                f"ratio {found[f'ratio_{clock}']:.2f} [{low:.2f}, {high:.2f}]"
+            )
+            print(line, file=sys.stderr, flush=True)
 
 
 if __name__ == "__main__":
