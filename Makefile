@@ -88,16 +88,13 @@ test-wheels: $(VENV)/ready ## * both wheels with the oldest Gymnasium, without R
 	cd / && PATH=$(WHEEL_BIN) python $(CURDIR)/client-py/examples/random_policy.py
 	cd client-py && PATH=$(WHEEL_BIN):/usr/bin:/bin python -m pytest tests -k $(WHEEL_TESTS)
 
-# Server, client and transport in one process; then a server of its own that clients send bad input to.
+# Locks, then server, client and shared memory in one process.
 .PHONY: test-valgrind
 test-valgrind: ## memory errors of server, client and shared memory, found by valgrind (which it needs)
-	$(CARGO) build $(RUST) --bin trocar
-	$(CARGO) test --locked -p trocar-tests --no-run
-	export CARGO_TARGET_X86_64_UNKNOWN_LINUX_GNU_RUNNER="valgrind --quiet --error-exitcode=9 --fair-sched=yes"; \
+	$(CARGO) test --locked -p trocar-proto -p trocar-tests --no-run
+	export CARGO_TARGET_X86_64_UNKNOWN_LINUX_GNU_RUNNER="valgrind --error-exitcode=9 --fair-sched=yes"; \
 	$(CARGO) test --locked -p trocar-proto --lib endpoint; \
 	$(CARGO) test --locked -p trocar-tests --test allocations
-	TROCAR_BINARY=$(abspath tests/valgrind.sh) TROCAR_UNDER_VALGRIND=$(TARGET)/debug/trocar \
-		$(CARGO) test --locked -p trocar-tests --test trocar refusals
 
 .PHONY: soak
 soak: develop ## * the long bars: 1,000,000 fuzzed messages, long multi-process loops

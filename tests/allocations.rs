@@ -105,7 +105,7 @@ fn cases() -> Vec<(&'static str, Options)> {
 
 /// Actions that keep every arm where it begins, above everything.
 fn wander(actions: &mut [f32], step: usize) {
-    actions.fill(if step % 2 == 0 { 0.3 } else { -0.3 });
+    actions.fill(if step.is_multiple_of(2) { 0.3 } else { -0.3 });
 }
 
 /// One test, so that no thread of another begins to allocate meanwhile.

@@ -84,7 +84,7 @@ fn company(task: &str) -> usize {
 /// The first processor that this process may use.
 fn first_cpu() -> String {
     let allowed = rustix::thread::sched_getaffinity(None).unwrap();
-    (0..).find(|cpu| allowed.is_set(*cpu)).unwrap().to_string()
+    (0..rustix::thread::CpuSet::MAX_CPU).find(|cpu| allowed.is_set(*cpu)).unwrap().to_string()
 }
 
 #[test]
