@@ -21,6 +21,8 @@ BIN := $(abspath $(VENV)/bin)
 # The oldest supported Gymnasium and both wheels, as a user has them: no source tree, no Rust.
 WHEEL_VENV := .venv-wheels
 WHEEL_BIN := $(abspath $(WHEEL_VENV)/bin)
+# What plots need.
+PLOT_VENV := .venv-plot
 # With the wheels, tasks that grasp are left out: what they add takes long and is not Gymnasium's.
 WHEEL_TESTS := "not stubs and not Pick and not Peg and not Regrasp and not Gauze"
 # Python files under ruff, as seen from client-py/, whose pyproject.toml has the rules.
@@ -102,6 +104,14 @@ test-rl: develop .venv-rl/ready .venv-rllib/ready ## * SB3, TorchRL, CleanRL, RL
 	cd client-py && $(RL_TEST) $(RLLIB_BIN)/python -m pytest tests/rllib
 	cd client-py && $(RL_TEST) $(RLLIB_BIN)/python examples/rllib_ppo.py --iterations 2
 
+# Locks, then server, client and shared memory in one process.
+.PHONY: test-valgrind
+test-valgrind: ## memory errors of server, client and shared memory, found by valgrind (which it needs)
+	$(CARGO) test --locked -p trocar-proto -p trocar-tests --no-run
+	export CARGO_TARGET_X86_64_UNKNOWN_LINUX_GNU_RUNNER="valgrind --error-exitcode=9 --fair-sched=yes"; \
+	$(CARGO) test --locked -p trocar-proto --lib endpoint; \
+	$(CARGO) test --locked -p trocar-tests --test allocations
+
 .PHONY: soak
 soak: develop ## * the long bars: 1,000,000 fuzzed messages, long multi-process loops
 	TROCAR_SOAK=1 TROCAR_BINARY=$(TARGET)/debug/trocar $(CARGO) test $(RUST) -- --nocapture
@@ -113,6 +123,30 @@ bench: develop ## * all steps per second (trocar bench); criterion: kinematics, 
 	TROCAR_PYTHON=$(BIN)/python $(TARGET)/release/trocar bench
 	$(CARGO) bench $(RUST)
 
+# The benchmarks in Python, with all that is compiled in the release profile.
+.PHONY: release
+release: $(VENV)/ready
+	$(CARGO) build --release --locked -p trocar
+	$(CARGO) build --release --locked -p trocar-server --example in_process
+	cd client-py && VIRTUAL_ENV=$(abspath $(VENV)) $(BIN)/maturin develop --quiet --release --locked
+
+.PHONY: bench-async
+bench-async: release ## * 64 environments: a session against Gymnasium's AsyncVectorEnv, in turns
+	TROCAR_BINARY=$(TARGET)/release/trocar $(BIN)/python client-py/benches/async_vector_env.py \
+		--library $(TARGET)/release/examples/libin_process.so
+
+.PHONY: bench-plot
+bench-plot: release $(PLOT_VENV)/ready ## * assets/pictures/throughput.png: rates against envs and clients
+	mkdir -p assets/pictures
+	export TROCAR_PYTHON=$(BIN)/python; \
+	for round in 1 2 3; do for task in EcmReach-v0 NeedlePick-v0; do \
+		bench="$(TARGET)/release/trocar bench --quick --json --policy random --task $$task"; \
+		$$bench --envs 16,64,256,1024,4096; \
+		$$bench --envs 16 --clients 2,4,8,16,32,64 --mode client_rs; \
+	done; done > $(TARGET)/throughput.jsonl
+	$(PLOT_VENV)/bin/python client-py/benches/plot_throughput.py assets/pictures/throughput.png \
+		< $(TARGET)/throughput.jsonl
+
 # ---- Keeping house ----
 
 .PHONY: fmt
@@ -123,13 +157,18 @@ fmt: $(VENV)/ready ## * formats Rust and Python
 .PHONY: clean
 clean: ## removes all that the targets above made
 	$(CARGO) clean
-	rm -rf $(VENV) $(WHEEL_VENV) .venv-rl .venv-rllib dist client-py/python/trocar/*.so
+	rm -rf $(VENV) $(WHEEL_VENV) $(PLOT_VENV) .venv-rl .venv-rllib dist client-py/python/trocar/*.so
 
 # The program, the example of an own task and the Python package of this tree, in the profile that tests use.
 .PHONY: develop
 develop: $(VENV)/ready
 	$(CARGO) build $(RUST) --bin trocar --example own_task
 	cd client-py && VIRTUAL_ENV=$(abspath $(VENV)) $(BIN)/maturin develop --quiet --locked
+
+$(PLOT_VENV)/ready: client-py/requirements-bench.lock
+	$(PYTHON) -m venv --clear $(PLOT_VENV)
+	$(PLOT_VENV)/bin/python $(PIP_INSTALL) --require-hashes -r $<
+	touch $@
 
 $(VENV)/ready: client-py/requirements-dev.lock
 	$(PYTHON) -m venv --clear $(VENV)

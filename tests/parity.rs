@@ -81,6 +81,12 @@ fn company(task: &str) -> usize {
     if grasps && std::env::var_os("TROCAR_SOAK").is_none() { 8 } else { 64 }
 }
 
+/// The first processor that this process may use.
+fn first_cpu() -> String {
+    let allowed = rustix::thread::sched_getaffinity(None).unwrap();
+    (0..rustix::thread::CpuSet::MAX_CPU).find(|cpu| allowed.is_set(*cpu)).unwrap().to_string()
+}
+
 #[test]
 fn bits_do_not_depend_on_company_threads_or_the_run_of_the_server() {
     for task in Registry::builtin().ids() {
@@ -98,6 +104,9 @@ fn bits_do_not_depend_on_company_threads_or_the_run_of_the_server() {
         drop(server);
         server = Server::start_named(&name, &["--threads", "2"]);
         assert!(remote(&server, task, &options, envs, SEED) == expected, "{task}: two threads");
+        drop(server);
+        let pinned = Server::start_with(&["--threads", "3", "--cpus", &first_cpu()]);
+        assert!(remote(&pinned, task, &options, envs, SEED) == expected, "{task}: one processor");
     }
 }
 

@@ -74,6 +74,24 @@ pub(crate) fn numbers(value: &Bound<'_, PyAny>, field: &str, code: Code) -> PyRe
     })
 }
 
+/// As [`numbers`], and `act` gets shape and values: of an array of float32 in row-major order the
+/// array's own, without a copy.
+pub(crate) fn with_numbers<T>(
+    value: &Bound<'_, PyAny>,
+    field: &str,
+    code: Code,
+    act: impl FnOnce(&[usize], &[f32]) -> PyResult<T>,
+) -> PyResult<T> {
+    if let Ok(array) = value.cast::<PyArrayDyn<f32>>()
+        && array.is_c_contiguous()
+    {
+        let array = array.try_readonly()?;
+        return act(array.shape(), array.as_slice()?);
+    }
+    let numbers = numbers(value, field, code)?;
+    act(&numbers.shape, &numbers.values)
+}
+
 fn collect<T: Element + Copy>(
     array: &PyReadonlyArrayDyn<'_, T>,
     convert: impl Fn(T) -> f32,

@@ -1,13 +1,15 @@
 //! A session and its replies.
 
+use std::iter::repeat_n;
 use std::sync::{Mutex, MutexGuard, PoisonError, TryLockError};
 
 use numpy::{Element, PyArray1, PyArray2, PyArrayMethods};
+use pyo3::intern;
 use pyo3::prelude::*;
-use pyo3::types::PyBytes;
+use pyo3::types::{PyBytes, PyDict};
 use trocar_client::Code;
 
-use crate::array::{check_shape, flags, matrix, numbers};
+use crate::array::{check_shape, flags, matrix, with_numbers};
 use crate::snapshot::Snapshot;
 use crate::spec::TaskSpec;
 use crate::{error, wait};
@@ -272,13 +274,14 @@ fn start_step(
     env_ids: Option<&[u32]>,
     actions: &Bound<'_, PyAny>,
 ) -> PyResult<()> {
-    let actions = numbers(actions, "action", Code::InvalidAction)?;
-    let rows = env_ids.map_or(session.envs(), <[u32]>::len);
-    // A single environment may leave out the axis of environments.
-    let expected = [rows, session.spec().action_dim()];
-    let expected = if rows == 1 && actions.shape.len() != 2 { &expected[1..] } else { &expected };
-    check_shape(py, &actions.shape, expected, "action", Code::InvalidAction)?;
-    session.start_step(env_ids, &actions.values).map_err(|error| error::call(py, error))
+    with_numbers(actions, "action", Code::InvalidAction, |shape, values| {
+        let rows = env_ids.map_or(session.envs(), <[u32]>::len);
+        // A single environment may leave out the axis of environments.
+        let expected = [rows, session.spec().action_dim()];
+        let expected = if rows == 1 && shape.len() != 2 { &expected[1..] } else { &expected };
+        check_shape(py, shape, expected, "action", Code::InvalidAction)?;
+        session.start_step(env_ids, values).map_err(|error| error::call(py, error))
+    })
 }
 
 /// The reply to a reset or a step. Row r belongs to environment `env_ids()[r]`; the arrays that
@@ -299,6 +302,16 @@ impl Reply {
         self.reply.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
+
+/// Observation, rewards, terminations, truncations, infos, whether more is to be said.
+type Transition<'py> = (
+    Bound<'py, PyAny>,
+    Bound<'py, PyArray1<f32>>,
+    Bound<'py, PyArray1<bool>>,
+    Bound<'py, PyArray1<bool>>,
+    Bound<'py, PyDict>,
+    bool,
+);
 
 type Matrix<'py> = PyResult<Bound<'py, PyArray2<f32>>>;
 
@@ -392,6 +405,42 @@ impl Reply {
 
     fn episode<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<u64>> {
         PyArray1::from_slice(py, self.inner().episode())
+    }
+
+    /// What Gymnasium's vector environments return of a step, and whether more is to be said of it:
+    /// somewhere an episode began, or the simulation failed. Where `next_step` is true, a step
+    /// that began an episode was no transition, so `is_success` does not apply to it.
+    fn transition<'py>(
+        slf: &Bound<'py, Self>,
+        next_step: bool,
+        expert: bool,
+        copy: bool,
+    ) -> PyResult<Transition<'py>> {
+        let (py, reply) = (slf.py(), slf.get());
+        let observation = Self::observation(slf, copy)?;
+        let observation = if reply.has_goals() {
+            let state = PyDict::new(py);
+            state.set_item(intern!(py, "observation"), observation)?;
+            state.set_item(intern!(py, "achieved_goal"), Self::achieved_goal(slf, copy)?)?;
+            state.set_item(intern!(py, "desired_goal"), Self::desired_goal(slf, copy)?)?;
+            state.into_any()
+        } else {
+            observation.into_any()
+        };
+        let infos = PyDict::new(py);
+        infos.set_item(intern!(py, "is_success"), reply.is_success(py))?;
+        let inner = reply.inner();
+        let acted = inner.steps().iter().map(|steps| !next_step || *steps > 0);
+        infos.set_item(intern!(py, "_is_success"), PyArray1::from_iter(py, acted))?;
+        let eventful = inner.steps().contains(&0) || inner.fault().iter().any(|code| *code != 0);
+        let everyone = expert.then(|| PyArray1::from_iter(py, repeat_n(true, inner.rows())));
+        drop(inner);
+        if let Some(everyone) = everyone {
+            infos.set_item(intern!(py, "expert_action"), Self::expert_action(slf, true)?)?;
+            infos.set_item(intern!(py, "_expert_action"), everyone)?;
+        }
+        let (terminated, truncated) = (reply.terminated(py), reply.truncated(py));
+        Ok((observation, reply.reward(py), terminated, truncated, infos, eventful))
     }
 
     /// Reward, terminated, truncated, success and fault of row 0, without arrays.

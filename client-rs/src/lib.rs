@@ -19,6 +19,7 @@
 
 mod client;
 mod error;
+mod owned;
 pub mod private;
 mod reconnect;
 mod session;

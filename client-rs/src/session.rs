@@ -13,6 +13,9 @@ use crate::error::CallError;
 use crate::snapshot::{Dropped, Snapshot};
 use crate::transport::{DataPort, Link, Owned, RawPending, RawReply, SLICE, refusal};
 
+/// How many groups of environments a session remembers.
+const GROUPS: usize = 8;
+
 /// N environments of one task, which live in the server until this is dropped.
 #[derive(Debug)]
 pub struct Session {
@@ -27,6 +30,8 @@ pub struct Session {
     pub(crate) client: Client,
     /// The states to go on from should the server be lost.
     pub(crate) checkpoint: Option<Vec<u8>>,
+    /// The groups of environments that were asked for last: asked for again, they cost no memory.
+    groups: VecDeque<Arc<[u32]>>,
     /// Numbers of snapshots that nobody has any more and that the server still keeps.
     dropped: Dropped,
     requests: u64,
@@ -112,6 +117,7 @@ impl Session {
             request,
             client,
             checkpoint: None,
+            groups: VecDeque::with_capacity(GROUPS),
             dropped: Dropped::default(),
             requests: 0,
             ended: false,
@@ -357,7 +363,7 @@ impl Session {
 
     /// Waits at most `patience` for the reply to the oldest request in flight.
     pub fn poll(&mut self, patience: Duration) -> Result<Option<Reply>, CallError> {
-        let port = self.port.get()?;
+        let port = self.port.get_mut()?;
         let Some(oldest) = self.in_flight.front() else { return Err(CallError::NothingInFlight) };
         let raw = match port.receive(&oldest.pending, patience) {
             Ok(Some(raw)) => raw,
@@ -487,12 +493,18 @@ impl Session {
         Ok(())
     }
 
-    fn check_env_ids(&self, env_ids: Option<&[u32]>) -> Result<EnvIds, CallError> {
+    fn check_env_ids(&mut self, env_ids: Option<&[u32]>) -> Result<EnvIds, CallError> {
         let Some(ids) = env_ids else { return Ok(EnvIds::All(self.info.envs)) };
+        if let Some(known) = self.groups.iter().find(|known| ***known == *ids) {
+            return Ok(EnvIds::Some(Arc::clone(known)));
+        }
         let increasing = ids.windows(2).all(|pair| pair[0] < pair[1]);
         let in_range = ids.last().is_some_and(|last| *last < self.info.envs);
         if increasing && in_range {
-            return Ok(EnvIds::Some(ids.into()));
+            let group: Arc<[u32]> = ids.into();
+            self.groups.truncate(GROUPS - 1);
+            self.groups.push_front(Arc::clone(&group));
+            return Ok(EnvIds::Some(group));
         }
         Err(Rejection::new(
             Code::InvalidEnvIds,

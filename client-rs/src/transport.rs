@@ -1,10 +1,5 @@
 //! The only file of the client that knows the transport.
-//!
-//! Objects of the transport must not be dropped by a forked child: they would remove shared
-//! memory that the parent still uses. [`Owned`] sees to that.
 
-use std::mem::ManuallyDrop;
-use std::ops::Deref;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
@@ -16,11 +11,12 @@ use iceoryx2::port::notifier::Notifier;
 use iceoryx2::prelude::{Alignment, EventId, ServiceName};
 use iceoryx2::response::Response;
 use trocar_proto::control::{self, ControlReply, ControlRequest, MAX_MESSAGE, SessionInfo};
-use trocar_proto::endpoint::{self, LEAST_WAIT, Membership, Node, ServerState, Transport};
+use trocar_proto::endpoint::{self, LEAST_WAIT, Membership, Node, ServerState, Transport, Vigil};
 use trocar_proto::wire::{ALIGNMENT, Header};
 use trocar_proto::{Code, Rejection};
 
 use crate::error::CallError;
+pub(crate) use crate::owned::Owned;
 
 /// How long a wait may last before the server's life is checked.
 pub(crate) const SLICE: Duration = Duration::from_millis(100);
@@ -35,46 +31,6 @@ pub(crate) type RawReply = Response<Transport, [u8], Header>;
 pub(crate) type RawPending = PendingResponse<Transport, [u8], Header, [u8], Header>;
 
 type Port = ClientPort<Transport, [u8], Header, [u8], Header>;
-
-/// A value that only the process that made it may drop.
-#[derive(Debug)]
-pub(crate) struct Owned<T> {
-    value: ManuallyDrop<T>,
-    process: u32,
-}
-
-impl<T> Owned<T> {
-    pub(crate) fn new(value: T) -> Self {
-        Self { value: ManuallyDrop::new(value), process: std::process::id() }
-    }
-
-    /// The value, unless this is a forked child of the process that made it.
-    pub(crate) fn get(&self) -> Result<&T, CallError> {
-        if self.process == std::process::id() {
-            Ok(&self.value)
-        } else {
-            Err(CallError::Forked { owner: self.process })
-        }
-    }
-}
-
-impl<T> Deref for Owned<T> {
-    type Target = T;
-
-    fn deref(&self) -> &T {
-        &self.value
-    }
-}
-
-impl<T> Drop for Owned<T> {
-    #[allow(unsafe_code)]
-    fn drop(&mut self) {
-        if self.process == std::process::id() {
-            // SAFETY: the value is dropped here only, and not touched afterwards.
-            unsafe { ManuallyDrop::drop(&mut self.value) }
-        }
-    }
-}
 
 /// Names an operation of the transport that failed.
 pub(crate) fn transport<E: std::fmt::Debug>(what: &'static str) -> impl FnOnce(E) -> CallError {
@@ -201,6 +157,7 @@ pub(crate) struct DataPort {
     port: Port,
     bell: Notifier<Transport>,
     reply_bell: Listener<Transport>,
+    vigil: Vigil,
     request_bytes: usize,
     session: u64,
     link: Arc<Owned<Link>>,
@@ -239,6 +196,7 @@ impl DataPort {
             port,
             bell: request_bell.notifier_builder().create().map_err(transport("request bell"))?,
             reply_bell: reply_bell.listener_builder().create().map_err(transport("reply bell"))?,
+            vigil: Vigil::new(),
             request_bytes,
             session,
             link,
@@ -262,20 +220,27 @@ impl DataPort {
     /// Waits at most `patience` for the reply to `pending`; checks that the server lives whenever
     /// a wait was in vain.
     pub(crate) fn receive(
-        &self,
+        &mut self,
         pending: &RawPending,
         patience: Duration,
     ) -> Result<Option<RawReply>, CallError> {
         let deadline = Instant::now() + patience;
+        self.vigil.begin();
         loop {
             // Asked before the reply is looked for: a server answers, and then lets go.
             let held = pending.number_of_server_connections() > 0 && pending.is_connected();
             match pending.receive() {
-                Ok(Some(reply)) => return Ok(Some(reply)),
+                Ok(Some(reply)) => {
+                    self.vigil.end();
+                    return Ok(Some(reply));
+                }
                 Ok(None) if held => {}
                 Ok(None) => return Err(self.why_unanswered()),
                 Err(ReceiveError::ExceedsMaxBorrows) => return Err(CallError::TooManyHeld),
                 Err(error) => return Err(transport("reply")(error)),
+            }
+            if self.vigil.keep() {
+                continue;
             }
             let left = deadline.saturating_duration_since(Instant::now());
             if left.is_zero() {

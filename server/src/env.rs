@@ -70,13 +70,24 @@ pub struct Env {
     /// Whether it was said that an object is lost.
     reported_loss: bool,
     noise: Noise,
-    delayed: VecDeque<Option<Vec<f32>>>,
+    /// Steps that an action is on its way.
+    latency: usize,
+    /// Actions on their way, the oldest first.
+    delayed: VecDeque<f32>,
     command: Vec<f32>,
     /// Actions since the episode began, as far as there is room.
     taken: Vec<f32>,
+    seen: Seen,
+}
+
+/// What [`Env::step`] saw, so that [`Env::observe`] need not look again.
+#[derive(Debug, Clone, Default)]
+struct Seen {
     observation: Vec<f32>,
     achieved: Vec<f32>,
     desired: Vec<f32>,
+    /// Whether this is the present state.
+    is_present: bool,
 }
 
 /// From what episodes begin.
@@ -101,8 +112,20 @@ enum State {
 /// The sensor noise of an episode.
 #[derive(Debug, Clone)]
 struct Noise {
+    /// As it is before the present state is looked at: that may be done again.
     rng: Rng,
     sigma: f64,
+}
+
+impl Noise {
+    /// Its size for a number in `unit`, in that unit.
+    fn sigma(&self, unit: &str) -> f64 {
+        match unit {
+            "m" => self.sigma,
+            SCALED_LENGTH => self.sigma * SCALED_LENGTHS_PER_METRE,
+            _ => 0.0,
+        }
+    }
 }
 
 impl Env {
@@ -137,12 +160,16 @@ impl Env {
             state: State::New,
             reported_loss: false,
             noise: Noise { rng: Rng::new(0, 0), sigma: 0.0 },
+            latency: 0,
             delayed: VecDeque::new(),
             command: vec![0.0; action],
             taken: vec![],
-            observation: vec![0.0; observation],
-            achieved: vec![0.0; goal],
-            desired: vec![0.0; goal],
+            seen: Seen {
+                observation: vec![0.0; observation],
+                achieved: vec![0.0; goal],
+                desired: vec![0.0; goal],
+                is_present: false,
+            },
         }
     }
 
@@ -181,7 +208,11 @@ impl Env {
     fn begin(&mut self) {
         tracing::debug!(task = self.spec.id, self.seed, self.episode, "reset");
         self.steps = 0;
+        self.seen.is_present = false;
+        // Here, so that no step has to allocate.
+        let dim = self.spec.action_dim();
         self.taken.clear();
+        self.taken.reserve((self.spec.max_steps as usize * dim).min(RECORDED));
         self.state = State::Running;
         self.reported_loss = false;
         let mut rng = Rng::new(self.seed, self.episode);
@@ -196,11 +227,10 @@ impl Env {
         self.task.reset(&mut self.world, &mut rng);
 
         let mut rng = Rng::sensor(self.seed, self.episode);
-        let latency = self.domain.latency.draw_integer(&mut rng);
+        self.latency = self.domain.latency.draw_integer(&mut rng);
         self.noise = Noise { sigma: self.domain.observation_noise.draw(&mut rng), rng };
         self.delayed.clear();
-        self.delayed.extend((0..latency).map(|_| None));
-        self.look();
+        self.delayed.reserve((self.latency + 1) * dim);
     }
 
     /// Sets the seed whose first episode the next reset without a seed begins.
@@ -237,32 +267,43 @@ impl Env {
     /// Lets one step pass. `action` has one finite number for each element of the specification;
     /// numbers outside [−1, 1] are clipped.
     pub fn step(&mut self, action: &[f32]) -> Result<Step, StepError> {
+        let mut seen = std::mem::take(&mut self.seen);
+        let Seen { observation, achieved, desired, is_present } = &mut seen;
+        let result = self.step_into(action, observation, achieved, desired);
+        *is_present |= matches!(result, Ok(_) | Err(StepError::Simulation { .. }));
+        self.seen = seen;
+        result
+    }
+
+    /// As [`Self::step`], and writes what [`Self::observe`] would then write.
+    pub fn step_into(
+        &mut self,
+        action: &[f32],
+        observation: &mut [f32],
+        achieved: &mut [f32],
+        desired: &mut [f32],
+    ) -> Result<Step, StepError> {
         if self.needs_reset() {
             return Err(StepError::ResetNeeded);
         }
         self.check(action)?;
         self.take_down(action);
+        self.pass_noise();
         let arrived = self.delay(action);
         let command = arrived.then_some(self.command.as_slice());
         self.task.apply(&mut self.world, command);
         self.steps += 1;
-        self.look();
-
-        let numbers = self.observation.iter().chain(&self.achieved).chain(&self.desired);
+        self.seen.is_present = false;
+        let shows_finite = self.look(observation, achieved, desired);
         let failure = if !self.world.is_finite() {
             Some("the position or velocity of an object")
-        } else if !numbers.clone().all(|number| number.is_finite()) {
+        } else if !shows_finite {
             Some("the observation or goal")
         } else {
             None
         };
         if let Some(what) = failure {
             self.state = State::Over;
-            // What is shown stays finite: nobody's statistics are lost to one environment.
-            let shown = self.observation.iter_mut().chain(&mut self.achieved);
-            for number in shown.chain(&mut self.desired).filter(|number| !number.is_finite()) {
-                *number = 0.0;
-            }
             return Err(StepError::Simulation { what, step: self.steps });
         }
 
@@ -274,7 +315,7 @@ impl Env {
 
         let reward = match (&self.spec.goal, self.spec.reward) {
             (Some(goal), Reward::Sparse | Reward::Dense) => {
-                self.spec.reward.of(&goal.success, &self.achieved, &self.desired)
+                self.spec.reward.of(&goal.success, achieved, desired)
             }
             _ => self.task.reward(&self.world),
         };
@@ -283,16 +324,21 @@ impl Env {
         if terminated || truncated {
             self.state = State::Over;
         }
-        let is_success = self.spec.is_success(&self.achieved, &self.desired);
+        let is_success = self.spec.is_success(achieved, desired);
         Ok(Step { reward, terminated, truncated, is_success })
     }
 
-    /// Writes the present observation and goals, of the specification's dimensions. After a
-    /// failure of the simulation, what is not finite reads 0.
+    /// Writes the present observation and goals, of the specification's dimensions; zeros before
+    /// the first reset. After a failure of the simulation, what is not finite reads 0.
     pub fn observe(&self, observation: &mut [f32], achieved: &mut [f32], desired: &mut [f32]) {
-        observation.copy_from_slice(&self.observation);
-        achieved.copy_from_slice(&self.achieved);
-        desired.copy_from_slice(&self.desired);
+        let seen = &self.seen;
+        if seen.is_present || !self.was_reset() {
+            observation.copy_from_slice(&seen.observation);
+            achieved.copy_from_slice(&seen.achieved);
+            desired.copy_from_slice(&seen.desired);
+        } else {
+            self.look(observation, achieved, desired);
+        }
     }
 
     /// The present state as bytes, from which [`Self::import`] rebuilds it: here, in another process
@@ -351,38 +397,50 @@ impl Env {
 
     /// Puts the command that takes effect now into `self.command`; false where none has arrived.
     fn delay(&mut self, action: &[f32]) -> bool {
-        let clipped = action.iter().map(|number| number.clamp(-1.0, 1.0));
-        if self.delayed.is_empty() {
+        self.delayed.extend(action.iter().map(|number| number.clamp(-1.0, 1.0)));
+        let arrived = self.steps as usize >= self.latency;
+        if arrived {
             self.command.clear();
-            self.command.extend(clipped);
-            return true;
+            self.command.extend(self.delayed.drain(..action.len()));
         }
-        self.delayed.push_back(Some(clipped.collect()));
-        match self.delayed.pop_front().flatten() {
-            None => false,
-            Some(command) => {
-                self.command = command;
-                true
-            }
-        }
+        arrived
     }
 
-    /// Takes down what is seen now: with this episode's noise on positions, within the bounds.
-    fn look(&mut self) {
-        let (observation, achieved, desired) =
-            (&mut self.observation, &mut self.achieved, &mut self.desired);
+    /// Writes what is seen now: with this episode's noise on positions, within the bounds. What is
+    /// not finite is written as 0, so that nobody's statistics are lost to one environment; whether
+    /// all of it was finite.
+    fn look(&self, observation: &mut [f32], achieved: &mut [f32], desired: &mut [f32]) -> bool {
         self.task.observe(&self.world, observation, achieved, desired);
-        for (value, element) in observation.iter_mut().zip(&self.spec.observation) {
-            let noise = match element.unit.as_str() {
-                "m" => self.noise.sigma,
-                SCALED_LENGTH => self.noise.sigma * SCALED_LENGTHS_PER_METRE,
-                _ => 0.0,
-            };
-            if noise > 0.0 {
-                *value += (noise * self.noise.rng.normal()) as f32;
+        if self.noise.sigma > 0.0 {
+            let mut rng = self.noise.rng.clone();
+            for (value, element) in observation.iter_mut().zip(&self.spec.observation) {
+                let sigma = self.noise.sigma(&element.unit);
+                if sigma > 0.0 {
+                    *value += (sigma * rng.normal()) as f32;
+                }
             }
+        }
+        let mut finite = true;
+        for (value, element) in observation.iter_mut().zip(&self.spec.observation) {
             if value.is_finite() {
                 *value = value.clamp(element.min, element.max);
+            }
+        }
+        for number in observation.iter_mut().chain(achieved).chain(desired) {
+            if !number.is_finite() {
+                (*number, finite) = (0.0, false);
+            }
+        }
+        finite
+    }
+
+    /// Leaves the noise of the present state behind.
+    fn pass_noise(&mut self) {
+        if self.noise.sigma > 0.0 {
+            for element in &self.spec.observation {
+                if self.noise.sigma(&element.unit) > 0.0 {
+                    self.noise.rng.normal();
+                }
             }
         }
     }

@@ -173,6 +173,21 @@ class Reply:
         """Seed of the episode: (rows)."""
     def episode(self) -> NDArray[np.uint64]:
         """Number of the episode under its seed: (rows)."""
+    def transition(
+        self, next_step: bool, expert: bool, copy: bool
+    ) -> tuple[
+        Any,
+        NDArray[np.float32],
+        NDArray[np.bool_],
+        NDArray[np.bool_],
+        dict[str, Any],
+        bool,
+    ]:
+        """What Gymnasium's vector environments return of a step, in one call.
+
+        The last value says whether somewhere an episode began or the simulation failed. Where
+        ``next_step`` is true, a step that began an episode was no transition.
+        """
     def outcome(self) -> tuple[float, bool, bool, bool, bool]:
         """Reward, terminated, truncated, success and fault of row 0, without arrays."""
 

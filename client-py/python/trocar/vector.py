@@ -291,22 +291,17 @@ class TrocarVectorEnv(
 
     def _transition(self, reply: _trocar.Reply) -> Step:
         """A reply as Gymnasium's five values, a row for each environment in it."""
-        terminations, truncations = reply.terminated(), reply.truncated()
-        begun = reply.steps() == 0
-        everyone = np.ones(reply.rows, np.bool_)
-        acted = ~begun if self.autoreset_mode is AutoresetMode.NEXT_STEP else everyone
-        infos = _masked(acted, is_success=reply.is_success())
-        if begun.any():
-            infos |= _masked(begun, **_episodes(reply))
-            if self.autoreset_mode is AutoresetMode.SAME_STEP:
-                infos |= _final(reply, begun)
-        failed = reply.fault()
-        if failed.any():
-            infos |= _masked(failed, simulation_failed=failed)
-        if self._connection.expert:
-            infos |= _masked(everyone, expert_action=reply.expert_action())
-        state = shown(observation(reply, self._copy))
-        return state, reply.reward(), terminations, truncations, infos
+        next_step = self.autoreset_mode is AutoresetMode.NEXT_STEP
+        *values, infos, eventful = reply.transition(next_step, self._connection.expert, self._copy)
+        if eventful:
+            begun, failed = reply.steps() == 0, reply.fault()
+            if begun.any():
+                infos |= _masked(begun, **_episodes(reply))
+                if self.autoreset_mode is AutoresetMode.SAME_STEP:
+                    infos |= _final(reply, begun)
+            if failed.any():
+                infos |= _masked(failed, simulation_failed=failed)
+        return (*values, infos)
 
     def _chosen(self, options: dict[str, Any] | None) -> NDArray[np.bool_]:
         """Which environments a reset is about."""

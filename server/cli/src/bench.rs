@@ -41,12 +41,13 @@ Examples:
   trocar bench --task NeedlePick-v0 --policy oracle --envs 64
   trocar bench --mode in_process --envs 1 --json             what the simulation costs
   trocar bench --threads 2 --option preset=surrol
+  trocar bench --mode client_rs --clients 1,8,64 --envs 16   many clients at once
 
 A measurement takes whole episodes, at least one of every environment. A step is one environment's
 step; resets take part of the time and are not counted. CPU time is that of the server (or this
 process) and of the client, waiting included where it burns any. client_py needs a Python with the
-package trocar: $TROCAR_PYTHON, else python3. With --json: {task, mode, policy, envs, threads,
-steps_per_second, steps_per_cpu_second, ratio_to_in_process}; the ratio is that of steps per second,
+package trocar: $TROCAR_PYTHON, else python3. With --json: {task, mode, policy, envs, clients,
+threads, steps_per_second, steps_per_cpu_second, ratio_to_in_process}; the ratio is that of steps per second,
 null where in_process was not measured.")]
 pub(crate) struct Bench {
     /// A task id of `trocar tasks`, or all
@@ -58,6 +59,9 @@ pub(crate) struct Bench {
     /// How many environments at a time
     #[arg(long, value_delimiter = ',', default_values_t = [1, 8, 64], value_parser = clap::value_parser!(u32).range(1..=65_536))]
     envs: Vec<u32>,
+    /// How many Rust clients at a time, each with so many environments
+    #[arg(long, value_delimiter = ',', default_values_t = [1], value_parser = clap::value_parser!(u32).range(1..=256))]
+    clients: Vec<u32>,
     /// Who acts
     #[arg(long, value_enum, value_delimiter = ',', default_values_t = [Policy::Random, Policy::Oracle])]
     policy: Vec<Policy>,
@@ -101,7 +105,9 @@ struct Job {
     task: String,
     options: Options,
     policy: Policy,
+    /// Environments of each client.
     envs: u32,
+    clients: u32,
     threads: u32,
     max_steps: u32,
     /// Least time.
@@ -150,6 +156,7 @@ struct Row<'a> {
     mode: Mode,
     policy: Policy,
     envs: u32,
+    clients: u32,
     threads: u32,
     steps_per_second: f64,
     steps_per_cpu_second: f64,
@@ -180,12 +187,23 @@ impl Bench {
             }
         }
 
-        let header = ["task", "policy", "envs", "mode", "steps/s", "steps/CPU s", "of in-process"];
-        let mut table = output::table(&header, 4);
+        let header = [
+            "task",
+            "policy",
+            "envs",
+            "clients",
+            "mode",
+            "steps/s",
+            "steps/CPU s",
+            "of in-process",
+        ];
+        let mut table = output::table(&header, 5);
         let progress = progress_bar(jobs.len() * self.mode.len());
         for job in &mut jobs {
             let mut in_process = None;
-            for mode in &self.mode {
+            // Only Rust clients come in numbers.
+            let several = job.clients > 1;
+            for mode in self.mode.iter().filter(|mode| !several || **mode != Mode::ClientPy) {
                 progress.set_message(format!("{} {} {}", job.task, job.policy, mode.name()));
                 let measured = match (mode, &server, &mut python) {
                     (Mode::ClientRs, Some(server), _) => client_rs::run(server, job)?,
@@ -201,6 +219,7 @@ impl Bench {
                     mode: *mode,
                     policy: job.policy,
                     envs: job.envs,
+                    clients: if *mode == Mode::InProcess { 1 } else { job.clients },
                     threads: job.threads,
                     steps_per_second: rate,
                     steps_per_cpu_second: measured.steps as f64 / measured.cpu_seconds,
@@ -211,6 +230,7 @@ impl Bench {
                     row.task.into(),
                     row.policy.to_string(),
                     row.envs.to_string(),
+                    row.clients.to_string(),
                     row.mode.name(),
                     format!("{:.0}", row.steps_per_second),
                     format!("{:.0}", row.steps_per_cpu_second),
@@ -239,16 +259,22 @@ impl Bench {
         let mut jobs = vec![];
         for (task, options) in options::for_tasks(&self.options, &specs)? {
             let max_steps = registry.spec(&task, &options)?.max_steps;
-            for (policy, envs) in self
+            let numbers = || {
+                self.envs
+                    .iter()
+                    .flat_map(|envs| self.clients.iter().map(move |clients| (*envs, *clients)))
+            };
+            for (policy, (envs, clients)) in self
                 .policy
                 .iter()
-                .flat_map(|policy| self.envs.iter().map(move |envs| (policy, envs)))
+                .flat_map(|policy| numbers().map(move |numbers| (policy, numbers)))
             {
                 jobs.push(Job {
                     task: task.clone(),
                     options: options.clone(),
                     policy: *policy,
-                    envs: *envs,
+                    envs,
+                    clients,
                     threads: self.threads,
                     max_steps,
                     time,

@@ -145,9 +145,9 @@ impl OwnServer {
         Ok(Self { client: Some(client), process, endpoint: Endpoint::new(name) })
     }
 
-    /// A connection to it.
-    pub(crate) fn client(&self) -> &Client {
-        self.client.as_ref().expect("it is there until the server ends")
+    /// The name that clients connect to.
+    pub(crate) fn name(&self) -> &str {
+        self.endpoint.name().as_str()
     }
 
     /// Its process id.

@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use clap::Args;
 use trocar_proto::endpoint::ServerName;
-use trocar_server::service::{Quota, ServerConfig, StopSignal, serve};
+use trocar_server::service::{Cpus, Quota, ServerConfig, StopSignal, serve};
 use trocar_server::tasks::Registry;
 
 use crate::inherited;
@@ -24,6 +24,7 @@ const LINGER: Duration = Duration::from_secs(3);
 Examples:
   trocar serve                                 the server `default`
   trocar serve --name lab --threads 8          another one beside it
+  trocar serve --name lab --cpus 4-7           on four processors and no others
   trocar serve --name lab --memory 4GiB --idle-limit 10min
   trocar serve --name lab --client-envs 256 --client-threads 2    no client gets more
   trocar serve --name lab --metrics 9100 --log-format json        for Prometheus and a log collector
@@ -37,9 +38,12 @@ pub(crate) struct Serve {
     /// Name that clients connect to: 1 to 24 letters, digits, - or _
     #[arg(long, default_value = "default")]
     name: ServerName,
-    /// Threads that step environments [default: one per core]
+    /// Threads that step environments [default: one per core, or per processor of --cpus]
     #[arg(long)]
     threads: Option<usize>,
+    /// Processors that the server uses, as 0-3 or 0,2,4-5 [default: all]
+    #[arg(long, value_name = "LIST")]
+    cpus: Option<Cpus>,
     /// Most environments that one session may have
     #[arg(long, default_value_t = 4096)]
     max_envs: u32,
@@ -88,7 +92,11 @@ impl Serve {
         let defaults = ServerConfig::new(self.name.clone());
         let all = Quota::default();
         let config = ServerConfig {
-            threads: self.threads.unwrap_or(defaults.threads),
+            threads: self
+                .threads
+                .or(self.cpus.as_ref().map(Cpus::count))
+                .unwrap_or(defaults.threads),
+            cpus: self.cpus,
             max_envs: self.max_envs,
             memory_bytes: self.memory,
             client: Quota {

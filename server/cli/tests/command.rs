@@ -214,6 +214,7 @@ fn a_bench_measures_every_mode_that_it_can() {
             assert_eq!(
                 keys(row),
                 [
+                    "clients",
                     "envs",
                     "mode",
                     "policy",

@@ -48,8 +48,12 @@ impl Env {
 
     /// A number that stands for every bit of what is seen and of what the objects do.
     fn fingerprint(&self) -> u64 {
-        let seen = self.observation.iter().chain(&self.achieved).chain(&self.desired);
-        let words = seen.map(|number| number.to_bits()).chain(self.world.bits());
+        let (dim, goal) = (self.spec.observation_dim(), self.spec.goal_dim());
+        let mut seen = vec![0.0; dim + 2 * goal];
+        let (observation, goals) = seen.split_at_mut(dim);
+        let (achieved, desired) = goals.split_at_mut(goal);
+        self.observe(observation, achieved, desired);
+        let words = seen.iter().map(|number| number.to_bits()).chain(self.world.bits());
         let words = words.chain([self.steps, u32::from(self.state == State::Over)]);
         snapshot::fingerprint(words.flat_map(u32::to_le_bytes))
     }

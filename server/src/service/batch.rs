@@ -229,6 +229,7 @@ impl Divisible for Work<'_> {
                 Deed::Reset(seeds) => {
                     env.reset(seeds.map(|seeds| seeds[row]));
                     write_transition(&mut self.rows, row, 0.0, false, false, false, 0);
+                    show(env, &mut self.rows, row);
                 }
                 Deed::Step(actions) => {
                     let action = &actions[row * self.action_dim..(row + 1) * self.action_dim];
@@ -237,6 +238,7 @@ impl Divisible for Work<'_> {
                 Deed::Restore(states) => {
                     env.clone_from(&states[row]);
                     write_transition(&mut self.rows, row, 0.0, false, false, false, 0);
+                    show(env, &mut self.rows, row);
                 }
             }
             write_state(env, self.want_expert, &mut self.rows, row);
@@ -309,13 +311,16 @@ impl Divisible for Rebuilding<'_> {
     }
 }
 
-/// Steps one environment, or resets it where the autoreset mode says so.
+/// Steps one environment, or resets it where the autoreset mode says so, and shows where it is.
+/// What it sees is written into the reply at once.
 fn step(env: &mut Env, action: &[f32], autoreset: Autoreset, rows: &mut Rows<'_>, row: usize) {
     if env.needs_reset() {
         env.reset(None);
-        return write_transition(rows, row, 0.0, false, false, false, 0);
+        write_transition(rows, row, 0.0, false, false, false, 0);
+        return show(env, rows, row);
     }
-    match env.step(action) {
+    let (achieved, desired) = (rows.achieved_goal.row(row), rows.desired_goal.row(row));
+    match env.step_into(action, rows.observation.row(row), achieved, desired) {
         Ok(step) => {
             write_transition(
                 rows,
@@ -342,7 +347,13 @@ fn step(env: &mut Env, action: &[f32], autoreset: Autoreset, rows: &mut Rows<'_>
             rows.final_desired_goal.row(row),
         );
         env.reset(None);
+        show(env, rows, row);
     }
+}
+
+/// Writes the present observation and goals.
+fn show(env: &Env, rows: &mut Rows<'_>, row: usize) {
+    env.observe(rows.observation.row(row), rows.achieved_goal.row(row), rows.desired_goal.row(row));
 }
 
 fn write_transition(
@@ -362,11 +373,9 @@ fn write_transition(
 }
 
 fn write_state(env: &Env, want_expert: bool, rows: &mut Rows<'_>, row: usize) {
-    env.observe(rows.observation.row(row), rows.achieved_goal.row(row), rows.desired_goal.row(row));
     rows.steps.row(row)[0] = env.steps();
     rows.seed.row(row)[0] = env.seed();
     rows.episode.row(row)[0] = env.episode();
-    if want_expert {
-        env.expert(rows.expert_action.row(row));
-    }
+    let expert_action = rows.expert_action.row(row);
+    if want_expert { env.expert(expert_action) } else { expert_action.fill(0.0) }
 }

@@ -12,6 +12,7 @@
 //! | `ports.rs` | the ends of the transport: how services are made, what a reply is |
 //! | `rows.rs` | the arrays of a reply, row by row |
 //! | `store.rs` | the snapshots of a session, and the memory that they take |
+//! | `cpus.rs` | which processors a server uses |
 //! | `scheduler.rs` | turns: which session's environments run on which threads |
 //!
 //! Every session has its own data service, thread and environments, so a slow session never holds
@@ -20,6 +21,7 @@
 
 mod batch;
 mod control;
+mod cpus;
 mod desk;
 mod exporter;
 mod lease;
@@ -41,6 +43,7 @@ use trocar_proto::{Code, Rejection};
 
 use crate::tasks::Registry;
 
+pub use cpus::Cpus;
 pub use desk::{Answer, Desk, Footprint, Holding, Quota, Usage};
 
 /// How long a server that is ending may take before its name is said to be in use: its drain limit,
@@ -54,6 +57,8 @@ pub struct ServerConfig {
     pub name: ServerName,
     /// Threads that step environments.
     pub threads: usize,
+    /// The processors that it uses; every one that it may if `None`.
+    pub cpus: Option<Cpus>,
     /// Most environments that one session may have.
     pub max_envs: u32,
     /// Memory that all sessions together may take, bytes.
@@ -78,6 +83,7 @@ impl ServerConfig {
         Self {
             name,
             threads: std::thread::available_parallelism().map_or(1, usize::from),
+            cpus: None,
             max_envs: 4096,
             memory_bytes: 1 << 30,
             client: Quota::default(),
@@ -160,6 +166,10 @@ pub fn serve(
     ready: impl FnOnce(),
 ) -> Result<(), ServeError> {
     desk::check_config(config)?;
+    // Before any thread is started: they inherit it.
+    if let Some(cpus) = &config.cpus {
+        cpus.pin()?;
+    }
     raise_file_limit();
     let endpoint = Endpoint::new(&config.name);
     let folder =

@@ -1,10 +1,12 @@
 //! The server's ends of the transport: how its services are made, and what a reply is.
 
 use iceoryx2::active_request::ActiveRequest;
+use iceoryx2::port::LoanError;
 use iceoryx2::port::listener::Listener;
 use iceoryx2::port::notifier::Notifier;
 use iceoryx2::port::server::Server as ServerPort;
 use iceoryx2::prelude::{Alignment, ServiceName};
+use iceoryx2::response_mut::ResponseMut;
 use trocar_proto::Rejection;
 use trocar_proto::control::{self, ControlReply, MAX_MESSAGE};
 use trocar_proto::endpoint::{self, MAX_CLIENTS, Node, Transport};
@@ -20,6 +22,19 @@ pub(super) type Port = ServerPort<Transport, [u8], Header, [u8], Header>;
 
 /// What tells that some arrived.
 pub(super) type Bell = Listener<Transport>;
+
+/// A reply that is being written.
+pub(super) type Response = ResponseMut<Transport, [u8], Header>;
+
+/// Room for a reply of `bytes` bytes to `request`. It holds what the last reply there held, of the
+/// same session: clearing it would cost as much as writing it.
+#[allow(unsafe_code)]
+pub(super) fn loan(request: &Request, bytes: usize) -> Result<Response, LoanError> {
+    let room = request.loan_slice_uninit(bytes)?;
+    // SAFETY: the room lies in a mapping of shared memory, whose bytes are zero until somebody has
+    // written them; and every byte is a valid u8.
+    Ok(unsafe { room.assume_init() })
+}
 
 /// Where control messages arrive.
 pub(super) struct ControlPorts {
@@ -125,7 +140,9 @@ impl DataPorts {
             .map_err(internal("data service"))?;
         let bell = |name: String| {
             let service = node.service_builder(&service_name(&name)).event();
-            let service = service.max_listeners(1).max_notifiers(1).max_nodes(2).create();
+            // Taking a bell down looks at every event there could be: there is only 0.
+            let service = service.event_id_max_value(0).max_listeners(1).max_notifiers(1);
+            let service = service.max_nodes(2).create();
             service.map_err(internal("session bell"))
         };
         let request_bell = bell(endpoint::request_bell(epoch, session))?;

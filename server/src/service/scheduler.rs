@@ -49,7 +49,7 @@ struct Threads {
 struct Turns {
     free: usize,
     /// In order of arrival.
-    waiting: Vec<Arc<Waiter>>,
+    waiting: Vec<Waiting>,
     /// What the one who had the latest turn had spent before it, ns.
     clock: u64,
 }
@@ -71,12 +71,24 @@ impl Share {
     }
 }
 
+/// Somebody who waits for a turn.
+#[derive(Debug)]
+struct Waiting {
+    waiter: Arc<Waiter>,
+    share: Arc<Share>,
+    spent: u64,
+}
+
 #[derive(Debug)]
 struct Waiter {
     thread: Thread,
-    share: Arc<Share>,
-    spent: u64,
     called: AtomicBool,
+}
+
+thread_local! {
+    /// This thread, which waits for one turn at a time.
+    static WAITER: Arc<Waiter> =
+        Arc::new(Waiter { thread: std::thread::current(), called: AtomicBool::new(false) });
 }
 
 impl Scheduler {
@@ -146,17 +158,17 @@ impl Scheduler {
         // Whoever waits while threads are free has taken all of its share.
         let threads = turns.free.min(most).min(self.share.left());
         if threads == 0 {
-            let waiter = Arc::new(Waiter {
-                thread: std::thread::current(),
-                share: Arc::clone(&self.share),
-                spent,
-                called: AtomicBool::new(false),
+            WAITER.with(|waiter| {
+                waiter.called.store(false, Ordering::Relaxed);
+                let (waiter, share) = (Arc::clone(waiter), Arc::clone(&self.share));
+                turns.waiting.push(Waiting { waiter, share, spent });
+                drop(turns);
             });
-            turns.waiting.push(Arc::clone(&waiter));
-            drop(turns);
-            while !waiter.called.load(Ordering::Acquire) {
-                std::thread::park();
-            }
+            WAITER.with(|waiter| {
+                while !waiter.called.load(Ordering::Acquire) {
+                    std::thread::park();
+                }
+            });
             return Turn { scheduler: self, threads: 1 };
         }
         turns.free -= threads;
@@ -171,12 +183,12 @@ impl Scheduler {
         self.share.taken.fetch_sub(count, Ordering::Relaxed);
         while turns.free > 0 {
             let waiting = turns.waiting.iter().enumerate();
-            let may_run = waiting.filter(|(_, waiter)| waiter.share.left() > 0);
-            let Some((next, _)) = may_run.min_by_key(|(_, waiter)| waiter.spent) else { break };
-            let waiter = turns.waiting.remove(next);
+            let may_run = waiting.filter(|(_, each)| each.share.left() > 0);
+            let Some((next, _)) = may_run.min_by_key(|(_, each)| each.spent) else { break };
+            let Waiting { waiter, share, spent } = turns.waiting.remove(next);
             turns.free -= 1;
-            turns.clock = turns.clock.max(waiter.spent);
-            waiter.share.taken.fetch_add(1, Ordering::Relaxed);
+            turns.clock = turns.clock.max(spent);
+            share.taken.fetch_add(1, Ordering::Relaxed);
             waiter.called.store(true, Ordering::Release);
             waiter.thread.unpark();
         }

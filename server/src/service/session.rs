@@ -11,7 +11,7 @@ use iceoryx2::prelude::EventId;
 use trocar_proto::control::{
     self, Autoreset, ClientInfo, ControlReply, SessionInfo, SessionRequest, SessionStatus,
 };
-use trocar_proto::endpoint::Node;
+use trocar_proto::endpoint::{Node, Vigil};
 use trocar_proto::wire::{Header, MAX_IN_FLIGHT, ReplyLayout, RequestLayout, flag, kind};
 use trocar_proto::{Code, Rejection};
 
@@ -28,10 +28,6 @@ use crate::tasks::Registry;
 
 /// How long an idle session sleeps before it looks whether it should end.
 const SLICE: Duration = Duration::from_millis(100);
-
-/// How long a session offers its core to others before it sleeps: a client that answers at once
-/// then needs no wake-up. Longer would keep a core from those that could use it.
-const OFFER: Duration = Duration::from_micros(20);
 
 /// What all sessions of a server share.
 pub(super) struct Ground {
@@ -317,6 +313,7 @@ impl Session {
     fn answer_all(&mut self) -> u64 {
         let mut active = Instant::now();
         let mut total = 0;
+        let mut vigil = Vigil::new();
         // Requests that a client may have had in flight when its server was told to end.
         let mut left = MAX_IN_FLIGHT;
         while !self.shared.stop.load(Ordering::Acquire) && left > 0 {
@@ -324,17 +321,17 @@ impl Session {
             let finish = self.shared.finish.load(Ordering::Acquire);
             match self.ports.port.receive() {
                 Ok(Some(request)) => {
+                    vigil.end();
                     let start = Instant::now();
                     let steps = self.answer(&request);
                     self.note(start, steps);
                     total += steps;
                     active = Instant::now();
                     left -= usize::from(finish);
+                    vigil.begin();
                 }
                 Ok(None) if finish => break,
-                Ok(None) if active.elapsed() < OFFER && !self.scheduler.is_busy() => {
-                    std::thread::yield_now();
-                }
+                Ok(None) if !self.scheduler.is_busy() && vigil.keep() => {}
                 Ok(None) => {
                     if active.elapsed() > self.ground.idle_limit {
                         break;
@@ -355,7 +352,7 @@ impl Session {
     fn answer(&mut self, request: &Request) -> u64 {
         let start = Instant::now();
         let asked = *request.user_header();
-        let mut response = match request.loan_slice(self.reply_layout.bytes) {
+        let mut response = match ports::loan(request, self.reply_layout.bytes) {
             Ok(response) => response,
             Err(error) => {
                 tracing::warn!(session = self.shared.id, ?error, "no room for a reply");

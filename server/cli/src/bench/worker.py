@@ -6,8 +6,8 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-POOL = 64
-"""Random actions are drawn before they are needed, for so many steps."""
+POOL = 65_536
+"""Random actions are drawn before they are needed: so many of single environments, then again."""
 
 
 def main() -> None:
@@ -62,7 +62,7 @@ def single(job: dict[str, Any], server: str) -> Made:
     def step() -> None:
         nonlocal count
         count += 1
-        action = env.expert_action() if job["expert"] else pool[count % POOL]
+        action = env.expert_action() if job["expert"] else pool[count % len(pool)]
         _, _, terminated, truncated, _ = env.step(action)
         if terminated or truncated:
             env.reset()
@@ -87,7 +87,7 @@ def vector(job: dict[str, Any], server: str) -> Made:
         expert=job["expert"],
         **job["options"],
     )
-    shape = (POOL, *(envs.action_space.shape or ()))
+    shape = (max(64, POOL // job["envs"]), *(envs.action_space.shape or ()))
     pool = np.random.default_rng(0).uniform(-1, 1, shape).astype(np.float32)
     count = 0
     infos: dict[str, Any] = {}
@@ -95,7 +95,7 @@ def vector(job: dict[str, Any], server: str) -> Made:
     def step() -> None:
         nonlocal count, infos
         count += 1
-        actions = infos["expert_action"] if job["expert"] else pool[count % POOL]
+        actions = infos["expert_action"] if job["expert"] else pool[count % len(pool)]
         *_, infos = envs.step(actions)
 
     def reset() -> None:
