@@ -16,8 +16,8 @@ use nalgebra::{Point3, Unit, UnitQuaternion, Vector3};
 
 use super::frames::{self, Aabb, Pose};
 use super::world::{
-    BodyId, Hinge, HingedId, Motion, PREDICTION, Part, Push, SUBSTEPS_PER_SECOND, Shape, TieId,
-    World,
+    BodyId, Hinge, HingedId, Motion, Overlap, PREDICTION, Part, Push, SUBSTEPS_PER_SECOND, Shape,
+    TieId, World,
 };
 use crate::robots::Psm;
 
@@ -65,6 +65,9 @@ const FINGER_LIMITS: [f64; 2] = [-0.5, 0.8];
 /// pushes the fingers to one side turns both, as it turns the yaw joint of a real wrist, whose torque is
 /// as limited.
 const YAW: f64 = 2.0;
+
+/// What counts as deeper, m: more than rounding.
+const LEAST_DEPTH: f64 = 1e-6;
 
 /// From the hinge to where an object is gripped, m: the tip less 1 mm.
 const LEVER: f64 = TIP_OFFSET - 1e-3;
@@ -278,6 +281,22 @@ impl Instrument {
             && self.tied.is_none()
             && !world.object_in(&swept.grown(REACH_OF_OBJECTS))
             && !world.furniture_in(swept)
+    }
+
+    /// Where furniture stops it on its way to `next`: where wrist or fingers, as they are, would be deeper
+    /// in it than now.
+    pub(super) fn stopped_by(&self, world: &World, next: &Posture) -> Option<Overlap> {
+        if !self.grips() || self.stale {
+            return None;
+        }
+        let motion = next.world_from_wrist * self.posture.world_from_wrist.inverse();
+        let deepest = |motion: &Pose| {
+            let bodies = self.bodies().map(|body| world.meets_furniture(body, motion));
+            bodies.into_iter().reduce(Overlap::or).expect("it has bodies")
+        };
+        let then = deepest(&motion);
+        let deeper = || then.depth > deepest(&Pose::identity()).depth + LEAST_DEPTH;
+        (then.depth > 0.0 && deeper()).then_some(then)
     }
 
     /// Goes to `next` without taking part in the substep to come.

@@ -1,12 +1,14 @@
 //! How instruments move in an environment step: smoothly, at the same time, and not at any price.
 //!
 //! Within a step wrist and jaw angle follow a smoothstep profile, so their velocity is continuous and
-//! zero at both ends. Three rules belong to the model's definition:
+//! zero at both ends. Four rules belong to the model's definition:
 //!
 //! - **Yield**: where an object that is in the way pushes back too hard or is pressed into what is
 //!   behind it, an instrument goes back along its path instead of forward; just before, it waits.
 //!   Where its path does not lead out of what it presses on, or it is jammed, one that grips gives way,
 //!   as a real arm bends.
+//! - **Furniture** stops an instrument that grips before wrist or fingers are in it: fingers give way to
+//!   what they close on, not to what they are pushed into.
 //! - **Distance**: the shafts of two instruments, which nothing else keeps apart, wait where they
 //!   would come closer than they are thick.
 //! - **Quiescence**: while every free object sleeps and the volumes that the instruments sweep, jaws
@@ -128,13 +130,14 @@ pub fn travel<const N: usize>(
             let hold =
                 if way.instrument.grips() { HOLD_OVERLAP_GRIPPING } else { HOLD_OVERLAP_LOCKED };
             let done = way.done;
+            let stop = way.instrument.stopped_by(world, &to);
             way.done = match resistance(&way.push, &from, &to, hold) {
                 Resistance::Drives => way.done.saturating_sub(1),
                 Resistance::Holds => way.done,
-                Resistance::None if waits => way.done,
+                Resistance::None if waits || stop.is_some() => way.done,
                 Resistance::None => way.done + 1,
             };
-            let overlap = &way.push.overlap;
+            let overlap = stop.as_ref().unwrap_or(&way.push.overlap);
             let stays_on = way.done >= done && overlap.depth > YIELD_OVERLAP;
             // Locked jaws that gave way upwards or downwards would press what lies under them.
             let is_level = overlap.into.z.abs() < LEVEL;

@@ -1,11 +1,12 @@
 //! What bodies do to each other where they touch: forces and overlaps of the last substep.
 
 use nalgebra::{Point3, Vector3};
+use rapier3d::parry::bounding_volume::BoundingVolume;
 use rapier3d::parry::query;
 use rapier3d::prelude::{ColliderHandle, ContactPair};
 
-use super::{BodyId, SUBSTEPS_PER_SECOND, World};
-use crate::sim::frames::{self, SCALE};
+use super::{BodyId, PREDICTION, SUBSTEPS_PER_SECOND, World};
+use crate::sim::frames::{self, Pose, SCALE};
 
 /// What the rest of the world does to an instrument.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -130,6 +131,37 @@ impl World {
             }
         }
         push
+    }
+
+    /// Where a body that `motion` would take from where it is would be nearest to furniture, or overlap
+    /// with it most: the depth is below 0 where they are apart, and −∞ where they are further apart
+    /// than contacts are looked at.
+    pub(crate) fn meets_furniture(&self, body: BodyId, motion: &Pose) -> Overlap {
+        let motion = frames::to_engine(motion);
+        let margin = (PREDICTION * SCALE) as f32;
+        let mut deepest = Overlap { depth: f64::NEG_INFINITY, ..Overlap::NONE };
+        for part in self.bodies[body.0].colliders() {
+            let part = &self.colliders[*part];
+            let moved = motion * *part.position();
+            let region = part.shape().compute_aabb(&moved).loosened(margin);
+            let furniture = self.fixed.iter().flat_map(|fixed| self.bodies[*fixed].colliders());
+            for other in furniture.map(|handle| &self.colliders[*handle]) {
+                if !region.intersects(&other.compute_aabb()) {
+                    continue;
+                }
+                let (at, shape) = (other.position(), other.shape());
+                let contact = query::contact(&moved, part.shape(), at, shape, margin);
+                // Shapes between which the engine knows no contact do not overlap either.
+                let Ok(Some(contact)) = contact else { continue };
+                let depth = -f64::from(contact.dist) / SCALE;
+                if depth > deepest.depth {
+                    let point = frames::from_engine_vector(contact.point2).into();
+                    let into = frames::from_engine_vector(contact.normal1) * SCALE;
+                    deepest = Overlap { depth, point, into };
+                }
+            }
+        }
+        deepest
     }
 
     /// Whether two bodies pressed on each other in the last substep.
