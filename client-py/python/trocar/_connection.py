@@ -126,7 +126,8 @@ class Connection:
         self._patience = PATIENCE if reconnect is True else float(reconnect)
         if not self._patience >= 0.0:
             raise refuse(InvalidOption, "reconnect", reconnect, "allowed are seconds, or a bool")
-        self._shown = shown
+        # Weakly: environments end where nobody has them any more.
+        self._shown = weakref.WeakMethod(shown)
         self._seed: int | None = None
         self._seeds: NDArray[np.uint64] | None = None
         self._checkpoint: Snapshot | None = None
@@ -274,7 +275,9 @@ class Connection:
             "was not carried out"
         )
         told.resumed = resumed
-        told.observation, told.info = self._shown(reply)
+        shown = self._shown()
+        assert shown is not None, "whoever asks is there"
+        told.observation, told.info = shown(reply)
         return told
 
     def _drop(self) -> None:
@@ -284,10 +287,12 @@ class Connection:
 
     def __getstate__(self) -> dict[str, Any]:
         """What to open, and not what is open: a copy opens a session of its own when reset."""
-        return {**self.__dict__, "_session": None, "_client": None, "_process": 0}
+        closed = {"_session": None, "_client": None, "_process": 0}
+        return {**self.__dict__, **closed, "_shown": self._shown()}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
+        self._shown = weakref.WeakMethod(state["_shown"])
         _connections.add(self)
 
     def __del__(self) -> None:
