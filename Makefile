@@ -133,7 +133,7 @@ release: $(VENV)/ready
 .PHONY: bench-async
 bench-async: release ## * 64 environments: a session against Gymnasium's AsyncVectorEnv, in turns
 	TROCAR_BINARY=$(TARGET)/release/trocar $(BIN)/python client-py/benches/async_vector_env.py \
-		--library $(TARGET)/release/examples/libin_process.so
+		--simulation $(TARGET)/release/examples/libin_process.so
 
 .PHONY: bench-plot
 bench-plot: release $(PLOT_VENV)/ready ## * assets/pictures/throughput.png: rates against envs and clients

@@ -130,7 +130,7 @@ def compare(task: str, arguments: argparse.Namespace) -> dict[str, Any]:
     spaces = (session.single_action_space, session.single_observation_space)
 
     def make() -> InProcess:
-        return InProcess(arguments.library, task, spaces)
+        return InProcess(arguments.simulation, task, spaces)
 
     made: list[Callable[[], gym.Env[Any, Any]]] = [make] * arguments.envs
     workers = gym.vector.AsyncVectorEnv(made, shared_memory=True)
@@ -164,7 +164,7 @@ def compare(task: str, arguments: argparse.Namespace) -> dict[str, Any]:
 def main() -> None:
     """Compares and prints a table, or with ``--json`` one object a line."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
-    parser.add_argument("--library", required=True, help="libin_process.so, as an absolute path")
+    parser.add_argument("--simulation", required=True, help="libin_process.so, as an absolute path")
     parser.add_argument("--server", help="name of a server; a private one if none is named")
     parser.add_argument("--task", nargs="+", default=["EcmReach-v0", "NeedlePick-v0"])
     parser.add_argument("--envs", type=int, default=64)
