@@ -269,7 +269,7 @@ mod tests {
         world.insert(Motion::Fixed, &at(-0.05), 1.0, &[cube(0.05)]);
         let far = Pose::translation(0.04, 0.0, 5e-3);
         world.insert(Motion::Free { mass: 1e-3 }, &far, 1.0, &[cube(5e-3)]);
-        // The tip of the right finger is 2.9 mm off the middle: its inner face slides along the peg.
+        // The end of one open finger, 2.9 mm off the middle, comes down on the peg.
         let (a, b) = (Point3::new(0.0, -2.6e-3, 0.0), Point3::new(0.0, -2.6e-3, 0.02));
         let peg =
             Part { body_from_part: Pose::identity(), shape: Shape::Capsule { a, b, radius: 1e-3 } };
