@@ -44,6 +44,8 @@ use trocar_proto::{Options, Rejection};
 
 use super::camera;
 use super::options::{self, ActionMode, Preset, Range};
+use super::theatre;
+use crate::render::{Scene, Viewpoint};
 use crate::robots::Ecm;
 use crate::sim::frames::{self, Aabb, Pose};
 use crate::sim::random::Rng;
@@ -79,6 +81,9 @@ const BASE_FROM_RCM: [f64; 3] = [0.6126, 0.0, 0.1016];
 
 /// Positions of the camera, m, RCM frame: a box around all that the arm can take.
 const POSITIONS: Aabb = Aabb::new([-0.26, -0.26, -0.26], [0.26, 0.26, 0.26]);
+
+/// Height of the overview's view, rad.
+const OVERVIEW: f64 = 0.72;
 
 /// What `action = "paper"` commands.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -202,6 +207,16 @@ impl EcmArm {
     pub fn world_from_camera(&self) -> Pose {
         let joints = std::array::from_fn(|joint| self.joints[joint] + self.offsets[joint]);
         self.world_from_rcm * self.kinematics.base_from_camera(&joints)
+    }
+
+    /// Draws the arm as it truly is, as `ecm`, over a floor with a pattern of tiles; its camera is the
+    /// endoscope.
+    pub fn draw(&self, scene: &mut Scene) {
+        theatre::draw_tiles(scene);
+        let joints = std::array::from_fn(|joint| self.joints[joint] + self.offsets[joint]);
+        theatre::draw_ecm(scene, &self.world_from_rcm, &joints);
+        scene.stage = Aabb::new([-0.8, -0.7, 0.0], [0.9, 0.7, 0.9]);
+        scene.overview = Viewpoint::towards([1.75, -0.95, 1.45], [0.18, -0.02, 0.55], OVERVIEW);
     }
 
     /// A vector of the world (m) in the axes of the RCM frame.

@@ -6,6 +6,7 @@ use super::options::Preset;
 use super::psm_scene::WORKSPACE;
 use super::tray;
 use crate::assets::Model;
+use crate::render::Scene;
 use crate::sim::frames::{self, Aabb, Pose};
 use crate::sim::random::Rng;
 use crate::sim::world::{BodyId, World};
@@ -87,6 +88,12 @@ impl Gauze {
         let x = centre.x + rng.uniform(-NARROW, NARROW);
         let y = centre.y + rng.uniform(-NARROW, NARROW);
         self.lay(world, x, y);
+    }
+
+    /// Draws the gauze and its tray.
+    pub fn draw(&self, world: &World, scene: &mut Scene) {
+        scene.add_model("tray", Model::tray(), &scene_from_tray());
+        scene.add_model("gauze", Model::gauze(), &world.pose(self.body));
     }
 
     /// The middle of the crest of its pleat in the gauze, m.

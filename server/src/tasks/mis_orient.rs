@@ -86,6 +86,7 @@ use trocar_proto::{Options, Rejection, TaskSpec};
 use super::Task;
 use super::ecm_scene::{Control, EcmArm, SECONDS_PER_STEP, STEP_ROLL, misorientation_element};
 use super::options;
+use crate::render::Scene;
 use crate::sim::random::Rng;
 use crate::sim::world::{Solver, World};
 
@@ -186,6 +187,10 @@ impl Task for MisOrient {
         }
         achieved[0] = self.arm.misorientation() as f32;
         desired[0] = 0.0;
+    }
+
+    fn scene(&self, _: &World, scene: &mut Scene) {
+        self.arm.draw(scene);
     }
 
     fn expert(&self, _: &World, action: &mut [f32]) {
