@@ -50,7 +50,8 @@ impl Tile {
         let (first, last) = (first.max(left) - left, last.min(left + TILE - 1) - left);
         let [start, end] = face.rows.map(usize::from);
         let (start, end) = (start.max(top) - top, end.min(top + TILE - 1) - top);
-        let (first, last) = (first / LANES, last / LANES);
+        let is_wide = last - first >= 2 * LANES;
+        let over_slopes = face.edges.map(|edge| 1.0 / edge[0]);
         let least = face.least.map(f32x8::splat);
         let slopes = face.edges.map(|edge| f32x8::splat(edge[0]));
         let key_slope = f32x8::splat(face.key[0]);
@@ -59,7 +60,16 @@ impl Tile {
             let offsets = face.edges.map(|[_, b, c]| f32x8::splat(b * y + c));
             let key = face.key[2] + face.key[1] * (y - face.origin[1]);
             let key = f32x8::splat(key);
-            for group in first..=last {
+            let (first, last) = if is_wide {
+                let span = span(face, &over_slopes, y);
+                // `as` takes what is below 0 for 0.
+                let start = (span[0] - left as f32) as usize;
+                let end = (span[1] - left as f32 + 1.0) as usize;
+                (first.max(start), (last + 1).min(end))
+            } else {
+                (first, last + 1)
+            };
+            for group in first / LANES..last.div_ceil(LANES) {
                 let x = f32x8::splat((left + group * LANES) as f32) + STEPS;
                 let inside = (slopes[0] * x + offsets[0]).simd_gt(least[0])
                     & (slopes[1] * x + offsets[1]).simd_gt(least[1])
@@ -82,6 +92,24 @@ impl Tile {
     pub(super) fn faces(&self, row: usize, group: usize) -> [u32; LANES] {
         self.faces[row * ACROSS + group].to_array().map(f32::to_bits)
     }
+}
+
+/// Between which columns a row of a face lies, and a little to each side: no less than what is drawn.
+fn span(face: &Face, over_slopes: &[f32; 3], y: f32) -> [f32; 2] {
+    /// Rounding of an edge's value, over the largest of its terms.
+    const ROUNDING: f32 = 1e-6;
+    let mut span = [0.0, f32::MAX];
+    for (edge, over_slope) in face.edges.iter().zip(over_slopes) {
+        let [a, b, c] = *edge;
+        let at = -(b * y + c) * over_slope;
+        let beside = 1.0 + ((b * y).abs() + c.abs()) * ROUNDING * over_slope.abs();
+        if a > 0.0 {
+            span[0] = span[0].max(at - beside);
+        } else if a < 0.0 {
+            span[1] = span[1].min(at + beside);
+        }
+    }
+    span
 }
 
 /// The faces of each tile of a picture, in order. Kept from picture to picture for its memory.

@@ -81,6 +81,9 @@ impl<'a> Shader<'a> {
 
     /// The surfaces that eight pixels show. Those without one get some other's.
     fn surface(&self, numbers: &[u32; LANES], x: f32, y: f32, depth: Eight) -> Surface {
+        if numbers[0] > 0 && *numbers == [numbers[0]; LANES] {
+            return self.one_surface(numbers[0] - 1, x, y, depth);
+        }
         let mut surface = Gathered::default();
         let depth = depth.to_array();
         let normals = &self.faces.normals;
@@ -112,6 +115,29 @@ impl<'a> Shader<'a> {
             colour: surface.colour.map(Eight::new),
             metallic: Eight::new(surface.metallic),
             roughness: Eight::new(surface.roughness),
+        }
+    }
+
+    /// The surface where eight pixels show the same face.
+    fn one_surface(&self, number: u32, x: f32, y: f32, depth: Eight) -> Surface {
+        let face = &self.faces.faces[number as usize];
+        let material = &self.scene.instances()[face.instance as usize].material;
+        let columns = Eight::splat(x) + STEPS;
+        let scale = depth * Eight::splat(face.over_area);
+        let weights: Triple = std::array::from_fn(|corner| {
+            let [a, b, c] = face.edges[corner];
+            let key = self.faces.key[face.vertices[corner] as usize];
+            (Eight::splat(a) * columns + Eight::splat(b * y + c)) * (scale * Eight::splat(key))
+        });
+        let normal = self.faces.normals.each_ref().map(|along| {
+            let of = |corner: usize| Eight::splat(along[face.vertices[corner] as usize]);
+            of(0) * weights[0] + of(1) * weights[1] + of(2) * weights[2]
+        });
+        Surface {
+            normal: unit(normal),
+            colour: material.colour.map(Eight::splat),
+            metallic: Eight::splat(material.metallic),
+            roughness: Eight::splat(material.roughness),
         }
     }
 

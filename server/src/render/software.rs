@@ -3,6 +3,7 @@
 use std::cell::Cell;
 
 use rayon::prelude::*;
+use wide::f32x8;
 
 use super::Renderer;
 use super::camera::Camera;
@@ -16,7 +17,8 @@ use super::shadow::{self, ShadowMap};
 /// Draws on the calling thread, or on all of the current pool's.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Software {
-    /// Pixels of the shadow map along each side, a multiple of 64; 0 for no shadows.
+    /// Most pixels of the shadow map along each side, a multiple of 64: it has no more than the picture; 0
+    /// for no shadows.
     pub shadow: usize,
     /// Colours are the mean of so many places along each side of a pixel: 1 for none but its middle.
     pub samples: usize,
@@ -48,6 +50,9 @@ impl Renderer for Software {
         SCRATCH.set(Some(scratch));
     }
 }
+
+/// Least pixels of a shadow map along a side that is wanted.
+const LEAST_SHADOW: usize = 192;
 
 /// Pixels along a side that every number below fits.
 const MOST_PIXELS: usize = 8192;
@@ -83,7 +88,10 @@ impl Software {
         let Scratch { faces, bins, shadow, tile, samples } = scratch;
         let has_shadow = rgb.is_some() && self.shadow >= TILE;
         if has_shadow {
-            shadow.draw(scene, camera, self.shadow.next_multiple_of(TILE), tile);
+            let intrinsics = &camera.intrinsics;
+            let size = intrinsics.width.max(intrinsics.height).max(LEAST_SHADOW);
+            let size = (size * self.samples.max(1)).min(self.shadow);
+            shadow.draw(scene, camera, size.next_multiple_of(TILE), tile);
         }
         let shadow = has_shadow.then_some(&*shadow);
         let several = self.samples.max(1);
@@ -261,24 +269,29 @@ impl Band<'_> {
     ) {
         let left = tile.origin[0];
         let columns = (width - left).min(TILE);
+        let (mut last, mut body) = (0, 0);
         for row in 0..self.rows {
             let line = row * width + left..row * width + left + columns;
             if let Some(depth) = &mut self.depth {
                 for (group, eight) in depth[line.clone()].chunks_mut(LANES).enumerate() {
                     let numbers = tile.faces(row, group);
-                    let keys = tile.keys(row, group).to_array();
+                    let depths = (f32x8::splat(1.0) / tile.keys(row, group)).to_array();
                     for (lane, depth) in eight.iter_mut().enumerate() {
-                        *depth = if numbers[lane] > 0 { 1.0 / keys[lane] } else { far };
+                        *depth = if numbers[lane] > 0 { depths[lane] } else { far };
                     }
                 }
             }
             if let Some(mask) = &mut self.mask {
                 for (group, eight) in mask[line.clone()].chunks_mut(LANES).enumerate() {
-                    for (number, body) in tile.faces(row, group).into_iter().zip(eight) {
-                        *body = number.checked_sub(1).map_or(0, |number| {
-                            let instance = faces.faces[number as usize].instance;
-                            scene.instances()[instance as usize].body
-                        });
+                    for (number, pixel) in tile.faces(row, group).into_iter().zip(eight) {
+                        if number != last {
+                            last = number;
+                            body = number.checked_sub(1).map_or(0, |number| {
+                                let instance = faces.faces[number as usize].instance;
+                                scene.instances()[instance as usize].body
+                            });
+                        }
+                        *pixel = body;
                     }
                 }
             }
