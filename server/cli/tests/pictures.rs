@@ -24,9 +24,8 @@ struct Image {
 }
 
 fn read(path: &Path) -> Image {
-    let file = std::fs::File::open(path).unwrap_or_else(|error| {
-        panic!("{}: {error}; `make pictures` writes it", path.display())
-    });
+    let file = std::fs::File::open(path)
+        .unwrap_or_else(|error| panic!("{}: {error}; `make pictures` writes it", path.display()));
     let mut reader = png::Decoder::new(std::io::BufReader::new(file)).read_info().unwrap();
     let mut rgb = vec![0; reader.output_buffer_size().unwrap()];
     let info = reader.next_frame(&mut rgb).unwrap();

@@ -151,6 +151,7 @@ impl Task for EcmReach {
             }),
             reward: self.reward,
             options: Self::options(),
+            images: None,
         }
     }
 

@@ -187,6 +187,7 @@ impl Task for GauzeRetrieve {
             goal: Some(objects::goal_spec("gauze", self.preset)),
             reward: self.reward,
             options: Self::options(),
+            images: None,
         }
     }
 

@@ -154,6 +154,7 @@ impl Task for MisOrient {
             }),
             reward: self.reward,
             options: Self::options(),
+            images: None,
         }
     }
 

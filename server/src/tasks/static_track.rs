@@ -166,6 +166,7 @@ impl Task for StaticTrack {
             }),
             reward: self.reward,
             options: Self::options(),
+            images: None,
         }
     }
 
