@@ -347,6 +347,10 @@ fn every_task_shows_the_same_bodies_all_the_time_and_has_every_camera() {
         };
         let first = names(0, 0);
         assert_eq!(first, names(4, 6), "{id}");
+        let options = Options::new()
+            .with("observation", trocar_proto::OptionValue::Texts(vec!["mask".into()]));
+        let spec = Registry::builtin().spec(id, &options).unwrap();
+        assert_eq!(first, spec.images.unwrap().bodies, "{id}");
         assert_eq!(
             first.iter().collect::<BTreeSet<_>>().len(),
             first.len(),

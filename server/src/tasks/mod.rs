@@ -214,10 +214,14 @@ fn spec_of(task: &dyn AnyTask, options: &Options, imaging: Option<&Imaging>) -> 
     }
 }
 
-/// What there is to see before the first episode: the same bodies as ever after.
+/// What there is to see in some episode: all bodies that there will ever be.
 fn first_scene(task: &dyn AnyTask, world: &World) -> Scene {
+    let (mut task, mut world) = (task.boxed_clone(), world.clone());
+    if !task.begins_prepared() {
+        task.reset(&mut world, &mut Rng::new(0, 0));
+    }
     let mut scene = Scene::default();
-    task.scene(world, &mut scene);
+    task.scene(&world, &mut scene);
     scene
 }
 
