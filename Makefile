@@ -142,7 +142,7 @@ bench-plot: release $(PLOT_VENV)/ready ## * assets/pictures/throughput.png: rate
 	for round in 1 2 3; do for task in EcmReach-v0 NeedlePick-v0; do \
 		bench="$(TARGET)/release/trocar bench --quick --json --policy random --task $$task"; \
 		$$bench --envs 16,64,256,1024,4096; \
-		$$bench --envs 16 --clients 2,4,8,16,32,64 --mode client_rs; \
+		$$bench --envs 16 --clients 1,2,4,8,16,32,64 --mode in_process,client_rs; \
 	done; done > $(TARGET)/throughput.jsonl
 	$(PLOT_VENV)/bin/python client-py/benches/plot_throughput.py assets/pictures/throughput.png \
 		< $(TARGET)/throughput.jsonl

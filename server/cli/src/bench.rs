@@ -63,7 +63,7 @@ pub(crate) struct Bench {
     /// How many environments at a time
     #[arg(long, value_delimiter = ',', default_values_t = [1, 8, 64], value_parser = clap::value_parser!(u32).range(1..=65_536))]
     envs: Vec<u32>,
-    /// How many Rust clients at a time, each with so many environments
+    /// How many Rust clients at a time, each with so many environments; in-process, one has them all
     #[arg(long, value_delimiter = ',', default_values_t = [1], value_parser = clap::value_parser!(u32).range(1..=256))]
     clients: Vec<u32>,
     /// Who acts
@@ -227,7 +227,7 @@ impl Bench {
                     mode: *mode,
                     policy: job.policy,
                     envs: job.envs,
-                    clients: if *mode == Mode::InProcess { 1 } else { job.clients },
+                    clients: job.clients,
                     threads: job.threads,
                     steps_per_second: rate,
                     steps_per_cpu_second: measured.steps as f64 / measured.cpu_seconds,

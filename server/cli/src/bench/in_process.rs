@@ -1,4 +1,5 @@
-//! Environments in this process: every thread steps its part of them, one after another.
+//! Environments in this process, those of all clients: every thread steps its part of them, one after
+//! another.
 
 use std::sync::Barrier;
 use std::thread;
@@ -12,16 +13,18 @@ use super::{Job, Measured, Stopwatch};
 struct Player {
     env: Env,
     seed: u64,
+    /// Its number in its session.
+    index: usize,
     action: Vec<f32>,
 }
 
 impl Player {
     /// Steps by one of the actions of a round, or by the expert's.
     fn step(&mut self, round: Option<&[f32]>) -> Result<(), StepError> {
-        let Self { env, seed, action } = self;
+        let Self { env, index, action, .. } = self;
         let dim = action.len();
         let chosen = if let Some(round) = round {
-            &round[*seed as usize * dim..][..dim]
+            &round[*index * dim..][..dim]
         } else {
             env.expert(action);
             action
@@ -44,10 +47,12 @@ pub(super) fn run(registry: &Registry, job: &Job) -> anyhow::Result<Measured> {
     let player = |seed| {
         let mut env = env.clone();
         env.reset(Some(seed));
-        Player { env, seed, action: action.clone() }
+        let index = (seed % u64::from(job.envs)) as usize;
+        Player { env, seed, index, action: action.clone() }
     };
-    let mut players: Vec<_> = (0..u64::from(job.envs)).map(player).collect();
-    let threads = job.threads.min(job.envs) as usize;
+    let count = job.envs * job.clients;
+    let mut players: Vec<_> = (0..u64::from(count)).map(player).collect();
+    let threads = job.threads.min(count) as usize;
     let share = players.len().div_ceil(threads);
     let shares = players.len().div_ceil(share);
     let (ready, go) = (Barrier::new(shares + 1), Barrier::new(shares + 1));
