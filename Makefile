@@ -106,7 +106,7 @@ test-rl: develop .venv-rl/ready .venv-rllib/ready ## * SB3, TorchRL, CleanRL, RL
 
 # Locks, then server, client and shared memory in one process.
 .PHONY: test-valgrind
-test-valgrind: ## memory errors of server, client and shared memory, found by valgrind (which it needs)
+test-valgrind: ## memory errors of server, client and shared memory, by valgrind, which it needs (apt install valgrind)
 	$(CARGO) test --locked -p trocar-proto -p trocar-tests --no-run
 	export CARGO_TARGET_X86_64_UNKNOWN_LINUX_GNU_RUNNER="valgrind --error-exitcode=9 --fair-sched=yes"; \
 	$(CARGO) test --locked -p trocar-proto --lib endpoint; \
