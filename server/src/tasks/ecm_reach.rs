@@ -52,8 +52,11 @@
 //!
 //! - `preset = "surrol"`: angles of dVRK's own camera frame, about ±π for a straight arm, as in the
 //!   original.
-//! - `domain`: `observation_noise` (m, on observed positions), `joint_offset` (rad, on every rotary
-//!   joint), `latency` (steps; the arm holds until the first action arrives).
+//! - `domain`: `camera_pose_position` (m, up to 0.005 either way along each axis of the camera)
+//!   and `camera_pose_angle` (rad, up to 0.05 either way about each): where the camera really is,
+//!   seen from where the joint sensors have it, `observation_noise` (m, on observed positions),
+//!   `joint_offset` (rad, on every rotary joint), `latency` (steps; the arm holds until the first
+//!   action arrives).
 //! - `setup`: `base` (x, y, z in m and pitch in rad of the arm's base). The arm must reach the
 //!   start and the corners of the goals' box.
 //!
@@ -75,7 +78,7 @@ use trocar_proto::spec::{GoalSpec, OptionSpec};
 use trocar_proto::{Options, Rejection, TaskSpec};
 
 use super::Task;
-use super::ecm_scene::{Control, EcmArm, SECONDS_PER_STEP, STEP_LENGTH};
+use super::ecm_scene::{CAMERA_ANGLE, Control, EcmArm, SECONDS_PER_STEP, STEP_LENGTH};
 use super::options::{self, Preset};
 use crate::sim::frames::Aabb;
 use crate::sim::random::Rng;
@@ -113,7 +116,7 @@ impl Task for EcmReach {
             options::action(),
             options::observation(),
             options::preset(),
-            options::domain(),
+            options::domain_with(options::camera_rows(CAMERA_ANGLE)),
             options::setup(&EcmArm::setup_rows()),
         ]
     }
