@@ -79,7 +79,7 @@
 //!   target.
 //! - `preset = "surrol"`: positions, goals and tolerances in units of 0.2 m (metres × 5), blocks of
 //!   10 g, gripped with 3 N instead of 1 N, `grasp = "weld"` unless given.
-//! - `domain`: `mass` (0.5 to 2; factor on the mass, besides what the size makes of it: stiffness
+//! - `domain`: `mass` (0.5 to 5; factor on the mass, besides what the size makes of it: stiffness
 //!   of contacts is per mass, so fingers sink into what is lighter), `size` (0.98 to 1.1; factor
 //!   on all lengths) of all blocks: a block below 0.966 that stands about its peg is more than 4
 //!   mm below its middle, `friction` (coefficient of the jaws), `observation_noise` (m, on

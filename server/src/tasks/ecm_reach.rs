@@ -52,11 +52,10 @@
 //!
 //! - `preset = "surrol"`: angles of dVRK's own camera frame, about ±π for a straight arm, as in the
 //!   original.
-//! - `domain`: `camera_pose_position` (m, up to 0.005 either way along each axis of the camera)
-//!   and `camera_pose_angle` (rad, up to 0.05 either way about each): where the camera really is,
-//!   seen from where the joint sensors have it, `observation_noise` (m, on observed positions),
-//!   `joint_offset` (rad, on every rotary joint), `latency` (steps; the arm holds until the first
-//!   action arrives).
+//! - `domain`: `camera_pose_position` (m, up to 0.005 either way along each axis of the camera: where it
+//!   really is, seen from where the joint sensors have it), `observation_noise` (m, on observed
+//!   positions), `joint_offset` (rad, on every rotary joint), `latency` (steps; the arm holds until the
+//!   first action arrives).
 //! - `setup`: `base` (x, y, z in m and pitch in rad of the arm's base). The arm must reach the
 //!   start and the corners of the goals' box.
 //!
@@ -78,7 +77,7 @@ use trocar_proto::spec::{GoalSpec, OptionSpec};
 use trocar_proto::{Options, Rejection, TaskSpec};
 
 use super::Task;
-use super::ecm_scene::{CAMERA_ANGLE, Control, EcmArm, SECONDS_PER_STEP, STEP_LENGTH};
+use super::ecm_scene::{Control, EcmArm, SECONDS_PER_STEP, STEP_LENGTH};
 use super::options::{self, Preset};
 use crate::sim::frames::Aabb;
 use crate::sim::random::Rng;
@@ -111,12 +110,14 @@ impl Task for EcmReach {
     const ID: &'static str = "EcmReach-v0";
 
     fn options() -> Vec<OptionSpec> {
+        // Where the camera is does not depend on its direction.
+        let [camera_position, _] = options::camera_rows(0.0);
         vec![
             options::reward(),
             options::action(),
             options::observation(),
             options::preset(),
-            options::domain_with(options::camera_rows(CAMERA_ANGLE)),
+            options::domain_with([camera_position]),
             options::setup(&EcmArm::setup_rows()),
         ]
     }

@@ -72,7 +72,7 @@
 //!   as its goal): one of 64 states that the expert made, with a new goal.
 //! - `preset = "surrol"`: positions, goals and tolerance in units of 0.2 m (metres × 5), gauze of
 //!   50 g, gripped with 3 N instead of 1 N, `spawn = "narrow"` and `grasp = "weld"` unless given.
-//! - `domain`: `mass` (0.5 to 2; factor on the mass, besides what the size makes of it: stiffness
+//! - `domain`: `mass` (0.5 to 5; factor on the mass, besides what the size makes of it: stiffness
 //!   of contacts is per mass, so fingers sink into what is lighter), `size` (0.8 to 1.2; factor on
 //!   all lengths) of the gauze, `friction` (coefficient of the jaws), `observation_noise` (m, on
 //!   observed positions), `joint_offset` (rad, on every rotary joint), `latency` (steps; the arm

@@ -60,7 +60,7 @@
 //!
 //! - `preset = "surrol"`: positions, goals and tolerance in units of 0.2 m (metres × 5), needle of
 //!   10 g, `spawn = "narrow"` unless given.
-//! - `domain`: `mass` (0.5 to 2; factor on the mass, besides what the size makes of it: stiffness
+//! - `domain`: `mass` (0.5 to 5; factor on the mass, besides what the size makes of it: stiffness
 //!   of contacts is per mass, so fingers sink into what is lighter), `size` (0.8 to 1.2; factor on
 //!   all lengths) of the needle, `observation_noise` (m, on observed positions), `joint_offset`
 //!   (rad, on every rotary joint), `latency` (steps; the arm holds until the first action

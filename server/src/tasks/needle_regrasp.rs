@@ -78,7 +78,7 @@
 //!   `weld` a tie replaces friction as soon as both fingers touch; one arm at a time has it.
 //! - `preset = "surrol"`: positions, goals and tolerance in units of 0.2 m (metres × 5), needle of
 //!   10 g, gripped with 3 N instead of 0.4 N, `grasp = "weld"` unless given.
-//! - `domain`: `mass` (0.5 to 2; factor on the mass, besides what the size makes of it: stiffness
+//! - `domain`: `mass` (0.5 to 5; factor on the mass, besides what the size makes of it: stiffness
 //!   of contacts is per mass, so fingers sink into what is lighter), `size` (0.8 to 1.2; factor on
 //!   all lengths) of the needle, `observation_noise` (m, on observed positions), `friction` (of
 //!   the jaws), `joint_offset` (rad, on every rotary joint), `latency` (steps; the arms hold until
