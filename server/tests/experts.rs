@@ -54,6 +54,14 @@ fn bars() -> Vec<Bar> {
             let slippery = Options::new().with("domain", OptionValue::Table(rows));
             add(slippery, seeds, 0.1);
         }
+        for option in spec.options.iter().filter(|option| option.name == "domain") {
+            let Allowed::Table(rows) = &option.allowed else { continue };
+            let varied = ["mass", "size", "camera_pose_position", "camera_pose_angle"];
+            let rows = rows.iter().filter(|row| varied.contains(&row.name.as_str()));
+            let rows = rows.map(|row| (row.name.clone(), vec![row.min, row.max])).collect();
+            let options = Options::new().with("domain", OptionValue::Table(rows));
+            add(options, if grasps { (100, 4) } else { (100, 20) }, 0.1);
+        }
         for option in &spec.options {
             let Allowed::OneOf(words) = &option.allowed else { continue };
             // Rewards change nothing, and where things appear was looked at.

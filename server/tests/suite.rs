@@ -5,7 +5,7 @@
 use std::collections::BTreeMap;
 
 use trocar_proto::snapshot::Recipe;
-use trocar_proto::spec::{Element, OptionValue};
+use trocar_proto::spec::{Allowed, Element, OptionValue, RowSpec};
 use trocar_proto::{Code, Options, TaskSpec};
 use trocar_server::env::{Env, Step};
 use trocar_server::error::StepError;
@@ -72,7 +72,7 @@ fn variants() -> Vec<(String, Options)> {
     for id in registry.ids() {
         variants.push((id.to_string(), Options::new()));
         for option in registry.spec(id, &Options::new()).unwrap().options {
-            if let trocar_proto::spec::Allowed::OneOf(words) = option.allowed {
+            if let Allowed::OneOf(words) = option.allowed {
                 for word in &words[1..] {
                     variants.push((id.to_string(), Options::new().with_text(&option.name, word)));
                 }
@@ -80,6 +80,14 @@ fn variants() -> Vec<(String, Options)> {
         }
     }
     variants
+}
+
+/// The rows of a task's `domain`.
+fn domain_rows(id: &str) -> Vec<RowSpec> {
+    let options = Registry::builtin().spec(id, &Options::new()).unwrap().options;
+    let domain = options.into_iter().find(|option| option.name == "domain").unwrap();
+    let Allowed::Table(rows) = domain.allowed else { panic!("{id}: domain is a table") };
+    rows
 }
 
 fn soak() -> bool {
@@ -349,12 +357,11 @@ fn numbers_outside_the_range_act_as_the_nearest_inside() {
 
 #[test]
 fn a_snapshot_goes_on_bit_by_bit_like_the_original_as_clone_and_as_bytes() {
-    let domain = table(&[
-        ("observation_noise", &[0.001, 0.002]),
-        ("joint_offset", &[-0.01, 0.01]),
-        ("latency", &[1.0, 3.0]),
-    ]);
-    let randomised = |id: &str| (id.to_string(), Options::new().with("domain", domain.clone()));
+    let randomised = |id: &str| {
+        let rows = domain_rows(id).into_iter().map(|row| (row.name, vec![row.min, row.max]));
+        let domain = OptionValue::Table(rows.collect());
+        (id.to_string(), Options::new().with("domain", domain))
+    };
     let mut variants = variants();
     variants.extend(Registry::builtin().ids().map(randomised));
     for variant in variants {
@@ -558,6 +565,43 @@ fn randomised_domains_are_drawn_by_episode() {
         }
         offsets.dedup();
         assert_eq!(offsets.len(), 5);
+    }
+}
+
+/// What the first steps of the expert's episode of seed 3 show under a range of `domain` that is one number, and mass
+/// (kg) and sum of the moments of inertia (kg·m²) of the first object in it, where there is one.
+fn under(id: &str, row: &RowSpec, number: f64) -> (Vec<Vec<u32>>, Option<(f64, f64)>) {
+    let domain = table(&[(&row.name, &[number, number])]);
+    let mut env = Registry::builtin().make(id, &Options::new().with("domain", domain)).unwrap();
+    env.reset(Some(3));
+    let object = env.world().objects().next().map(|object| env.world().inertia(object));
+    let mut seen = vec![Seen::of(&env).bits()];
+    while !env.needs_reset() && env.steps() < 12 {
+        env.step(&Seen::of(&env).expert).unwrap();
+        seen.push(Seen::of(&env).bits());
+    }
+    (seen, object.map(|inertia| (inertia.mass, inertia.moments.trace())))
+}
+
+#[test]
+fn every_range_of_a_domain_does_what_it_says() {
+    for id in Registry::builtin().ids() {
+        for row in domain_rows(id) {
+            let [low, high] = [row.min, row.max].map(|number| under(id, &row, number));
+            assert_eq!(low, under(id, &row, row.min), "{id}, {}: not the same bits", row.name);
+            // What lies looks the same whatever it weighs, and friction shows where jaws close.
+            let hidden = ["mass", "friction"].contains(&row.name.as_str());
+            assert!(hidden || low.0 != high.0, "{id}: {} is not to be seen", row.name);
+            let factor = row.max / row.min;
+            let (mass, moments) = match row.name.as_str() {
+                "mass" => (factor, factor),
+                "size" => (factor.powi(3), factor.powi(5)),
+                _ => continue,
+            };
+            let ((m, i), (n, j)) = (low.1.unwrap(), high.1.unwrap());
+            assert!((n / m / mass - 1.0).abs() < 1e-5, "{id}, {}: {m} to {n} kg", row.name);
+            assert!((j / i / moments - 1.0).abs() < 1e-4, "{id}, {}: {i} to {j}", row.name);
+        }
     }
 }
 

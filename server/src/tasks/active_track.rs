@@ -63,8 +63,11 @@
 //!   control law takes them (inferred from its expert). Not reproduced: pixels, the original's joint
 //!   limits and roll law (see [`static_track`](super::static_track)), its path, which does not go at
 //!   constant speed and shoves other cubes aside, and its end of an episode.
-//! - `domain`: `observation_noise` (m, on observed positions), `joint_offset` (rad, on every rotary
-//!   joint), `latency` (steps; the arm holds until the first action arrives).
+//! - `domain`: `camera_pose_position` (m, up to 0.005 either way along each axis of the camera)
+//!   and `camera_pose_angle` (rad, up to 0.05 either way about each): where the camera really is,
+//!   seen from where the joint sensors have it, `observation_noise` (m, on observed positions),
+//!   `joint_offset` (rad, on every rotary joint), `latency` (steps; the arm holds until the first
+//!   action arrives).
 //! - `setup`: `base` (x, y, z in m and pitch in rad of the arm's base). The start is the same joints,
 //!   and must have the middle of the targets' region in the picture; the natural line of sight stays
 //!   that of the nominal arm.
@@ -89,7 +92,7 @@ use trocar_proto::{Options, Rejection, TaskSpec};
 
 use super::Task;
 use super::camera::Cube;
-use super::ecm_scene::SECONDS_PER_STEP;
+use super::ecm_scene::{CAMERA_ANGLE, SECONDS_PER_STEP};
 use super::options::{self, Preset};
 use super::path::{self, LAP, Path};
 use super::track::{Layout, Tracker};
@@ -144,7 +147,7 @@ impl Task for ActiveTrack {
             options::action(),
             options::observation(),
             options::preset(),
-            options::domain(),
+            options::domain_with(options::camera_rows(CAMERA_ANGLE)),
             options::setup(&Tracker::setup_rows()),
         ]
     }
