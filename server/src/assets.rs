@@ -100,8 +100,7 @@ impl Model {
 
     /// The box around the collision shapes of the model when it is at `world_from_body`, m.
     pub fn aabb(&self, world_from_body: &Pose) -> Aabb {
-        let boxes = self.parts.iter().map(|part| part.aabb(world_from_body));
-        boxes.reduce(|one, other| one.merged(&other)).expect("a model has collision shapes")
+        self.scaled(1.0).aabb(world_from_body)
     }
 
     /// Reads a model of one body; its other links are frames fixed to it.

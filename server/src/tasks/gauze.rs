@@ -112,7 +112,7 @@ impl Gauze {
     }
 
     /// Draws this episode's mass and size, where they vary.
-    fn vary(&mut self, world: &mut World, rng: &mut Rng) {
+    fn vary(&mut self, world: &mut World, rng: &Rng) {
         if let Some(variation) = self.domain.draw_variation(rng) {
             self.object.vary(world, variation);
         }

@@ -238,7 +238,11 @@ impl Range {
 
     /// A number of the range; none where the range was not given.
     pub fn draw_if_given(&self, rng: &mut Rng) -> Option<f64> {
-        (*self != Self::default()).then(|| self.draw(rng))
+        self.is_given().then(|| self.draw(rng))
+    }
+
+    fn is_given(&self) -> bool {
+        *self != Self::default()
     }
 
     /// An integer of the range, both ends included.
@@ -303,23 +307,26 @@ impl Domain {
         })
     }
 
-    /// What an episode makes of its objects; none where neither range was given.
-    pub fn draw_variation(&self, rng: &mut Rng) -> Option<Variation> {
-        let (mass, size) = (self.mass.draw_if_given(rng), self.size.draw_if_given(rng));
+    /// What the episode of `rng` makes of its objects; none where neither range was given.
+    pub fn draw_variation(&self, rng: &Rng) -> Option<Variation> {
+        let mut rng = rng.aside();
+        let [mass, size] = [self.mass, self.size].map(|range| {
+            let number = range.draw(&mut rng);
+            range.is_given().then_some(number)
+        });
         (mass.is_some() || size.is_some())
             .then(|| Variation { mass: mass.unwrap_or(1.0), size: size.unwrap_or(1.0) })
     }
 
-    /// Where an episode's camera is, seen from where it should be; none where neither range was given.
-    pub fn draw_camera_error(&self, rng: &mut Rng) -> Option<Pose> {
-        let mut along = |range: &Range| {
-            let mut number = || range.draw_if_given(rng);
-            Some([number()?, number()?, number()?])
-        };
-        let position = along(&self.camera_pose_position);
-        let turn = along(&self.camera_pose_angle);
-        (position.is_some() || turn.is_some())
-            .then(|| frames::pose(position.unwrap_or_default(), turn.unwrap_or_default()))
+    /// Where the camera of the episode of `rng` is, seen from where it should be; none where neither range
+    /// was given.
+    pub fn draw_camera_error(&self, rng: &Rng) -> Option<Pose> {
+        let ranges = [self.camera_pose_position, self.camera_pose_angle];
+        ranges.iter().any(Range::is_given).then(|| {
+            let mut rng = rng.aside();
+            let [position, turn] = ranges.map(|range| [(); 3].map(|()| range.draw(&mut rng)));
+            frames::pose(position, turn)
+        })
     }
 }
 

@@ -81,7 +81,7 @@ impl Needle {
     }
 
     /// Draws this episode's mass and size, where they vary; the needle must be laid anew.
-    pub fn vary(&mut self, world: &mut World, rng: &mut Rng) {
+    pub fn vary(&mut self, world: &mut World, rng: &Rng) {
         if let Some(variation) = self.domain.draw_variation(rng) {
             self.object.vary(world, variation);
         }
