@@ -217,6 +217,8 @@ impl Task for ActiveTrack {
 
 #[cfg(test)]
 mod tests {
+    use trocar_proto::OptionValue;
+
     use super::*;
 
     fn episode(options: &Options, seed: u64) -> (ActiveTrack, World) {
@@ -296,21 +298,33 @@ mod tests {
     #[test]
     fn the_expert_never_loses_the_target() {
         let soak = std::env::var_os("TROCAR_SOAK").is_some();
-        let episodes = if soak { 500 } else { 10 };
-        for preset in ["paper", "surrol"] {
-            let options = Options::new().with_text("preset", preset);
+        let preset = |word: &str| Options::new().with_text("preset", word);
+        let misplaced = |sign: f64| {
+            let rows = [("camera_pose_position", 0.005), ("camera_pose_angle", CAMERA_ANGLE)];
+            let rows = rows.map(|(row, end)| (row.to_string(), vec![sign * end; 2]));
+            Options::new().with("domain", OptionValue::Table(rows.into()))
+        };
+        let paper = if soak { 500 } else { 10 };
+        let ends = if soak { 20 } else { 2 };
+        let variants = [
+            (preset("paper"), paper),
+            (preset("surrol"), paper),
+            (misplaced(1.0), ends),
+            (misplaced(-1.0), ends),
+        ];
+        for (options, episodes) in variants {
             let (mut returned, mut action) = (0.0, [0.0; 3]);
             for seed in 0..episodes {
                 let (mut task, mut world) = episode(&options, seed);
                 for step in 0..MAX_STEPS {
                     task.expert(&world, &mut action);
                     task.apply(&mut world, Some(&action));
-                    assert!(!task.terminated(&world), "{preset} {seed}: lost after {step} steps");
+                    assert!(!task.terminated(&world), "{options:?} {seed}: lost after {step} steps");
                     returned += f64::from(task.reward(&world));
                 }
             }
             let mean = returned / episodes as f64;
-            assert!(mean > 470.0, "{preset}: {mean}");
+            assert!(mean > 470.0, "{options:?}: {mean}");
         }
     }
 }
