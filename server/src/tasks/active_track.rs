@@ -319,7 +319,10 @@ mod tests {
                 for step in 0..MAX_STEPS {
                     task.expert(&world, &mut action);
                     task.apply(&mut world, Some(&action));
-                    assert!(!task.terminated(&world), "{options:?} {seed}: lost after {step} steps");
+                    assert!(
+                        !task.terminated(&world),
+                        "{options:?} {seed}: lost after {step} steps"
+                    );
                     returned += f64::from(task.reward(&world));
                 }
             }

@@ -297,7 +297,7 @@ fn ranges_that_may_not_be_are_refused_by_name_with_what_may() {
                 let refusal = refuse(&name, numbers);
                 assert_eq!(refusal.field, "options.domain");
                 let allowed = format!("{name} (2 numbers in [{min}, {max}])");
-                let given = format!("{:?}: {numbers:?}", name);
+                let given = format!("{name:?}: {numbers:?}");
                 for part in [&given, &allowed] {
                     assert!(refusal.to_string().contains(part), "{part} in {refusal}");
                 }
