@@ -106,6 +106,11 @@ impl Model {
         body
     }
 
+    /// The same model, `size` times as large.
+    pub fn scaled(&self, size: f64) -> Scaled<'_> {
+        Scaled { model: self, size }
+    }
+
     /// The frame `name`, fixed to the body.
     ///
     /// # Panics
@@ -117,8 +122,7 @@ impl Model {
 
     /// The box around the collision shapes of the model when it is at `world_from_body`, m.
     pub fn aabb(&self, world_from_body: &Pose) -> Aabb {
-        let boxes = self.parts.iter().map(|part| part.aabb(world_from_body));
-        boxes.reduce(|one, other| one.merged(&other)).expect("a model has collision shapes")
+        self.scaled(1.0).aabb(world_from_body)
     }
 
     /// Reads a model of one body; its other links are frames fixed to it.
@@ -140,6 +144,55 @@ impl Model {
     /// Where `urdf` is no model: tests read them all.
     fn read(urdf: &str) -> Self {
         Self::from_urdf(urdf).unwrap_or_else(|error| panic!("{error}"))
+    }
+}
+
+/// A model in another size: shapes, frames and inertia are those of a body of the same density.
+#[derive(Debug, Clone, Copy)]
+pub struct Scaled<'a> {
+    model: &'a Model,
+    size: f64,
+}
+
+impl<'a> Scaled<'a> {
+    /// How many times as large as the model it is.
+    pub fn size(&self) -> f64 {
+        self.size
+    }
+
+    /// The model, `size` times as large, whatever the size of this.
+    #[must_use]
+    pub fn resized(&self, size: f64) -> Self {
+        Self { size, ..*self }
+    }
+
+    /// Its collision shapes.
+    pub fn parts(&self) -> impl Iterator<Item = Part> + use<'a> {
+        let size = self.size;
+        self.model.parts.iter().map(move |part| part.scaled(size))
+    }
+
+    /// What is seen of it, each with where it is in the body.
+    pub fn visuals(&self) -> impl Iterator<Item = (&'a Visual, Pose)> + use<'a> {
+        let size = self.size;
+        let visuals = self.model.visuals.iter();
+        visuals.map(move |visual| (visual, frames::scaled(&visual.body_from_visual, size)))
+    }
+
+    /// How its mass is spread.
+    pub fn inertia(&self) -> Inertia {
+        self.model.inertia.with_size(self.size)
+    }
+
+    /// The frame `name`, see [`Model::body_from`].
+    pub fn body_from(&self, name: &str) -> Pose {
+        frames::scaled(&self.model.body_from(name), self.size)
+    }
+
+    /// The box around its collision shapes when it is at `world_from_body`, m.
+    pub fn aabb(&self, world_from_body: &Pose) -> Aabb {
+        let boxes = self.parts().map(|part| part.aabb(world_from_body));
+        boxes.reduce(|one, other| one.merged(&other)).expect("a model has collision shapes")
     }
 }
 

@@ -182,17 +182,15 @@ impl Render {
 
     /// All that is shown of one moment, side by side.
     fn picture(&self, scene: &Scene) -> anyhow::Result<Image> {
-        let cameras: Vec<Camera> = match (self.eye, self.target) {
-            (Some(eye), Some(target)) => {
-                vec![place::towards(eye, target, self.view)?.camera(self.size[0], self.size[1])]
-            }
-            _ => {
-                let camera = |place: &Place| {
-                    let camera = scene.camera(place.lens(), self.size[0], self.size[1]);
-                    camera.context("this task's scene has no endoscope")
-                };
-                self.camera.iter().map(camera).collect::<anyhow::Result<_>>()?
-            }
+        let [width, height] = self.size;
+        let cameras: Vec<Camera> = if let (Some(eye), Some(target)) = (self.eye, self.target) {
+            vec![place::towards(eye, target, self.view)?.camera(width, height)]
+        } else {
+            let camera = |place: &Place| {
+                let camera = scene.camera(place.lens(), width, height);
+                camera.context("this task's scene has no endoscope")
+            };
+            self.camera.iter().map(camera).collect::<anyhow::Result<_>>()?
         };
         let renderer = Software::fine();
         let mut parts = Vec::new();

@@ -155,7 +155,7 @@ impl Mesh {
                 }
             }
         }
-        for circle in 0..2 * CIRCLES + 1 {
+        for circle in 0..=2 * CIRCLES {
             for meridian in 0..MERIDIANS {
                 let next = (meridian + 1) % MERIDIANS;
                 let [low, high] = [circle * MERIDIANS, (circle + 1) * MERIDIANS];

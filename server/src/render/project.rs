@@ -49,6 +49,7 @@ pub(super) struct Face {
 
 /// Vertices in a picture and the faces between them. Kept from picture to picture for its memory.
 #[derive(Debug, Default)]
+#[expect(clippy::struct_field_names, reason = "the faces of all that is drawn")]
 pub(super) struct Faces {
     x: Vec<f32>,
     y: Vec<f32>,

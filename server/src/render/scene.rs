@@ -9,7 +9,7 @@ use nalgebra::{Point3, Vector3};
 use super::camera::{self, Camera, Viewpoint};
 use super::material::Material;
 use super::mesh::Mesh;
-use crate::assets::{Model, Visual};
+use crate::assets::{Model, Scaled, Visual};
 use crate::sim::frames::{Aabb, Pose};
 use crate::sim::world::{Motion, World};
 
@@ -27,10 +27,19 @@ pub struct Instance {
     pub mesh: Arc<Mesh>,
     /// Where it is.
     pub world_from_mesh: Pose,
+    /// How many times as large as the mesh it is.
+    pub size: f64,
     /// The body of which it is a part.
     pub body: BodyNumber,
     /// Its look.
     pub material: Material,
+}
+
+impl Instance {
+    /// Middle, in the axes of the mesh, and radius of a ball around it, m.
+    pub(super) fn ball(&self) -> (Point3<f64>, f64) {
+        (self.mesh.centre * self.size, self.mesh.radius * self.size)
+    }
 }
 
 /// A lamp so far away that its rays are parallel, and the light that comes from everywhere else.
@@ -101,9 +110,23 @@ impl Scene {
     /// # Panics
     /// Where no body was begun.
     pub fn draw(&mut self, mesh: Arc<Mesh>, world_from_mesh: Pose, material: Material) {
+        self.draw_sized(mesh, 1.0, world_from_mesh, material);
+    }
+
+    /// The same, `size` times as large.
+    ///
+    /// # Panics
+    /// Where no body was begun.
+    pub fn draw_sized(
+        &mut self,
+        mesh: Arc<Mesh>,
+        size: f64,
+        world_from_mesh: Pose,
+        material: Material,
+    ) {
         let body = self.bodies.len() as BodyNumber;
         assert!(body > 0, "what is drawn belongs to a body");
-        self.instances.push(Instance { mesh, world_from_mesh, body, material });
+        self.instances.push(Instance { mesh, world_from_mesh, size, body, material });
     }
 
     /// Adds a body that looks as its model.
@@ -116,6 +139,19 @@ impl Scene {
         let body = self.begin(name);
         self.draw_visuals(&model.visuals, world_from_body);
         body
+    }
+
+    /// Draws a model in its size as a part of the body begun last, with `look` for its materials.
+    pub fn draw_scaled(
+        &mut self,
+        form: &Scaled,
+        world_from_body: &Pose,
+        look: impl Fn(Material) -> Material,
+    ) {
+        for (visual, body_from_visual) in form.visuals() {
+            let at = world_from_body * body_from_visual;
+            self.draw_sized(visual.form.mesh(), form.size(), at, look(visual.material));
+        }
     }
 
     /// Draws what is seen of a body as a part of the body begun last.

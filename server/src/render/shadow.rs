@@ -59,10 +59,11 @@ impl ShadowMap {
         self.faces.clear();
         for (number, instance) in scene.instances().iter().enumerate() {
             let lamp_from_mesh = lamp_from_world * instance.world_from_mesh;
-            let centre = lamp_from_mesh * instance.mesh.centre;
-            let reach = half * pixel + instance.mesh.radius;
+            let (centre, radius) = instance.ball();
+            let centre = lamp_from_mesh * centre;
+            let reach = half * pixel + radius;
             if centre.x.abs() < reach && centre.y.abs() < reach {
-                let view = rows(&lamp_from_mesh);
+                let view = rows(&lamp_from_mesh, instance.size);
                 self.faces.add(&instance.mesh, number as u32, &view, None, &projection);
             }
         }
@@ -85,7 +86,7 @@ impl ShadowMap {
                 }
             }
         }
-        let world = rows(&lamp_from_world);
+        let world = rows(&lamp_from_world, 1.0);
         let to_pixel = |row: [f32; 4]| {
             let mut row = row.map(|number| number * (1.0 / pixel) as f32);
             row[3] += half as f32;
@@ -162,12 +163,12 @@ fn region(scene: &Scene, camera: &Camera, lamp_from_world: &Pose) -> Aabb {
     if is_empty { stage } else { both }
 }
 
-/// A pose as rows of numbers for the vertices of a mesh.
-pub(super) fn rows(pose: &Pose) -> [[f32; 4]; 3] {
+/// A pose as rows of numbers for the vertices of a mesh that is `size` times as large.
+pub(super) fn rows(pose: &Pose, size: f64) -> [[f32; 4]; 3] {
     let matrix = pose.rotation.to_rotation_matrix();
     let shift = pose.translation.vector;
     std::array::from_fn(|row| {
-        let of = |column: usize| matrix[(row, column)] as f32;
+        let of = |column: usize| (matrix[(row, column)] * size) as f32;
         [of(0), of(1), of(2), shift[row] as f32]
     })
 }

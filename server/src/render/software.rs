@@ -114,7 +114,9 @@ impl Software {
             for tile_index in index * columns..(index + 1) * columns {
                 let (origin, list) = bins.tile(tile_index);
                 tile.clear(origin, 1.0 / far);
-                list.iter().for_each(|number| tile.draw(&faces.faces, *number));
+                for number in list {
+                    tile.draw(&faces.faces, *number);
+                }
                 band.write(tile, size[0], far, scene, faces, &shader);
             }
         });
@@ -147,13 +149,15 @@ impl Software {
             for tile_index in index * columns..(index + 1) * columns {
                 let (origin, list) = bins.tile(tile_index);
                 tile.clear(origin, least);
-                list.iter().for_each(|number| tile.draw(&faces.faces, *number));
+                for number in list {
+                    tile.draw(&faces.faces, *number);
+                }
                 let rows = (band.len() / (3 * size[0])).min(TILE);
                 for row in 0..rows {
                     let line = &mut band[3 * (row * size[0] + origin[0])..3 * (row + 1) * size[0]];
                     for (group, eight) in line.chunks_mut(3 * LANES).take(TILE / LANES).enumerate()
                     {
-                        let colours = shader.colours(tile, row, group).map(|each| each.to_array());
+                        let colours = shader.colours(tile, row, group).map(f32x8::to_array);
                         for (lane, pixel) in eight.chunks_exact_mut(3).enumerate() {
                             pixel.copy_from_slice(&colours.each_ref().map(|each| each[lane]));
                         }
@@ -214,13 +218,13 @@ fn project(scene: &Scene, camera: &Camera, with_normals: bool, faces: &mut Faces
         std::array::from_fn(|side| corners[side].cross(&corners[(side + 1) % 4]).normalize());
     for (number, instance) in scene.instances().iter().enumerate() {
         let camera_from_mesh = camera_from_world * instance.world_from_mesh;
-        let centre = camera_from_mesh * instance.mesh.centre;
-        let radius = instance.mesh.radius;
+        let (centre, radius) = instance.ball();
+        let centre = camera_from_mesh * centre;
         let is_between = centre.z > camera.near - radius && centre.z < camera.far + radius;
         if is_between && sides.iter().all(|side| side.dot(&centre.coords) > -radius) {
-            let turn = shadow::rows(&instance.world_from_mesh).map(|[x, y, z, _]| [x, y, z]);
+            let turn = shadow::rows(&instance.world_from_mesh, 1.0).map(|[x, y, z, _]| [x, y, z]);
             let turn = with_normals.then_some(&turn);
-            let view = shadow::rows(&camera_from_mesh);
+            let view = shadow::rows(&camera_from_mesh, instance.size);
             faces.add(&instance.mesh, number as u32, &view, turn, &projection);
         }
     }
@@ -298,7 +302,7 @@ impl Band<'_> {
             if let Some(rgb) = &mut self.rgb {
                 let line = &mut rgb[3 * line.start..3 * line.end];
                 for (group, eight) in line.chunks_mut(3 * LANES).enumerate() {
-                    let colours = shader.colours(tile, row, group).map(|each| each.to_array());
+                    let colours = shader.colours(tile, row, group).map(f32x8::to_array);
                     for (lane, pixel) in eight.chunks_exact_mut(3).enumerate() {
                         pixel.copy_from_slice(
                             &colours.each_ref().map(|each| shade::byte(each[lane])),

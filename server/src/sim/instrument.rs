@@ -328,8 +328,9 @@ impl Instrument {
         }
     }
 
-    /// Makes it go to `next` in the substep to come.
-    pub(super) fn drive(&mut self, world: &mut World, next: Posture) {
+    /// Makes it go to `next` in the substep to come; jaws that crush what they hold open instead of
+    /// closing on it, whichever way they are turned.
+    pub(super) fn drive(&mut self, world: &mut World, next: Posture, crushes: bool) {
         if self.stale {
             self.put_bodies(world, &next);
         }
@@ -346,9 +347,10 @@ impl Instrument {
                 // Closed fingers lie on each other: nothing closes them further.
                 let least = if opening < 0.0 { 0.0 } else { opening - deflection };
                 let most = (opening + deflection).max(least);
-                let opening = f64::clamp(0.5 * next.jaw, least, most);
+                let opening = if crushes { most } else { f64::clamp(0.5 * next.jaw, least, most) };
                 let most = YAW * deflection;
-                let aside = f64::clamp(0.0, aside - most, aside + most);
+                let aside =
+                    if crushes { aside } else { f64::clamp(0.0, aside - most, aside + most) };
                 world.turn_hinged(&fingers[0], opening + aside);
                 world.turn_hinged(&fingers[1], opening - aside);
             }
@@ -536,5 +538,24 @@ mod tests {
             // It is free to leave.
             assert_eq!(go(&mut instrument, &mut world, down([0.0, 0.0, 5e-3])), 1.0);
         }
+    }
+
+    #[test]
+    fn jaws_that_close_on_a_wall_near_their_hinge_do_not_crush_it() {
+        let (mut world, _) = pad_and_wire();
+        let half = Vector3::new(4e-3, 0.8e-3, 4e-3);
+        let wall = Part { body_from_part: Pose::identity(), shape: Shape::Cuboid(half) };
+        let pose = Pose::translation(0.03, 0.0, half.z);
+        let wall = world.insert(Motion::Free { mass: 0.3e-3 }, &pose, 1.0, &[wall]);
+        let down = |jaw: f64| Posture { jaw, ..down([0.03, 0.0, 0.3e-3]) };
+        let mut instrument = Instrument::insert(&mut world, down(JAW_OPEN), SQUEEZES[0]);
+        // What closes with 1 N at its tip would close with 4 N where the wall's edge is.
+        let mut deepest: f64 = 0.0;
+        for _ in 0..10 {
+            go(&mut instrument, &mut world, down(JAW_CLOSED));
+            deepest = deepest.max(world.deepest_overlap());
+        }
+        assert!(instrument.fingers_touching(&world, wall) > 0);
+        assert!(deepest < 0.4e-3, "{deepest}");
     }
 }

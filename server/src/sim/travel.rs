@@ -1,12 +1,14 @@
 //! How instruments move in an environment step: smoothly, at the same time, and not at any price.
 //!
 //! Within a step wrist and jaw angle follow a smoothstep profile, so their velocity is continuous and
-//! zero at both ends. Four rules belong to the model's definition:
+//! zero at both ends. Five rules belong to the model's definition:
 //!
 //! - **Yield**: where an object that is in the way pushes back too hard or is pressed into what is
 //!   behind it, an instrument goes back along its path instead of forward; just before, it waits.
 //!   Where its path does not lead out of what it presses on, or it is jammed, one that grips gives way,
 //!   as a real arm bends.
+//! - **Crush**: jaws that press too deep into what they hold open: what they close on near their hinge
+//!   they would squeeze with many times their force at the tip, and keep.
 //! - **Furniture** stops an instrument that grips before wrist or fingers are in it: fingers give way to
 //!   what they close on, not to what they are pushed into.
 //! - **Distance**: the shafts of two instruments, which nothing else keeps apart, wait where they
@@ -147,7 +149,7 @@ pub fn travel<const N: usize>(
                 way.aside -= overlap.into * ASIDE;
             }
             let next = way.along(way.done, now, substeps);
-            way.instrument.drive(world, next);
+            way.instrument.drive(world, next, way.push.crushes);
         }
         world.step();
         for way in &mut ways {

@@ -64,6 +64,17 @@ pub enum Shape {
 }
 
 impl Shape {
+    /// The same form, `size` times as large.
+    #[must_use]
+    pub fn scaled(self, size: f64) -> Self {
+        match self {
+            Self::Cuboid(half) => Self::Cuboid(half * size),
+            Self::Capsule { a, b, radius } => {
+                Self::Capsule { a: a * size, b: b * size, radius: radius * size }
+            }
+        }
+    }
+
     /// Its volume, m³.
     fn volume(&self) -> f64 {
         match self {
@@ -85,6 +96,15 @@ pub struct Part {
 }
 
 impl Part {
+    /// The same part of a body `size` times as large.
+    #[must_use]
+    pub fn scaled(&self, size: f64) -> Self {
+        Self {
+            body_from_part: frames::scaled(&self.body_from_part, size),
+            shape: self.shape.scaled(size),
+        }
+    }
+
     /// The box around it when its body is at `world_from_body`, m.
     pub fn aabb(&self, world_from_body: &Pose) -> Aabb {
         let world_from_part = world_from_body * self.body_from_part;
@@ -245,6 +265,16 @@ impl World {
     /// Sets where a body is, at once; it must lie at rest there if it is free.
     pub fn place(&mut self, body: BodyId, world_from_body: &Pose) {
         self.bodies[body.0].set_position(frames::to_engine(world_from_body), false);
+    }
+
+    /// Gives a body the forms of `parts` in place of its own, one for one; its mass stays.
+    pub fn reshape(&mut self, body: BodyId, parts: impl IntoIterator<Item = Part>) {
+        for (handle, part) in self.bodies[body.0].colliders().iter().zip(parts) {
+            let shape = collider(&part.shape).shape;
+            let collider = &mut self.colliders[*handle];
+            collider.set_shape(shape);
+            collider.set_position_wrt_parent(frames::to_engine(&part.body_from_part));
+        }
     }
 
     /// Takes a body out of all that happens, until it is brought back.

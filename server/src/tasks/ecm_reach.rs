@@ -52,8 +52,10 @@
 //!
 //! - `preset = "surrol"`: angles of dVRK's own camera frame, about ±π for a straight arm, as in the
 //!   original.
-//! - `domain`: `observation_noise` (m, on observed positions), `joint_offset` (rad, on every rotary
-//!   joint), `latency` (steps; the arm holds until the first action arrives).
+//! - `domain`: `camera_pose_position` (m, up to 0.005 either way along each axis of the camera: where it
+//!   really is, seen from where the joint sensors have it), `observation_noise` (m, on observed
+//!   positions), `joint_offset` (rad, on every rotary joint), `latency` (steps; the arm holds until the
+//!   first action arrives).
 //! - `setup`: `base` (x, y, z in m and pitch in rad of the arm's base). The arm must reach the
 //!   start and the corners of the goals' box.
 //!
@@ -112,12 +114,14 @@ impl Task for EcmReach {
     const ID: &'static str = "EcmReach-v0";
 
     fn options() -> Vec<OptionSpec> {
+        // Where the camera is does not depend on its direction.
+        let [camera_position, _] = options::camera_rows(0.0);
         vec![
             options::reward(),
             options::action(),
             options::observation(),
             options::preset(),
-            options::domain(),
+            options::domain_with([camera_position]),
             options::setup(&EcmArm::setup_rows()),
         ]
     }

@@ -142,7 +142,7 @@ impl Tracker {
     pub fn new(options: &Options, joints: &[f64; 4], target: Cube) -> Result<Self, Rejection> {
         let mut arm = EcmArm::new(options, Control::Velocity)?;
         arm.start_with(joints);
-        let mut tracker = Self {
+        let tracker = Self {
             arm,
             preset: options::preset_of(options),
             target,
@@ -150,8 +150,7 @@ impl Tracker {
             sighting: Sighting { in_view: false, in_picture: false, point: Vector2::zeros() },
             misorientation: 0.0,
         };
-        tracker.arm.reset(&mut Rng::new(0, 0));
-        let view = tracker.view();
+        let view = View::new(tracker.arm.nominal_start());
         let around = [[1.0, 1.0], [1.0, -1.0], [-1.0, 1.0], [-1.0, -1.0]];
         let in_picture = around.map(|[x, y]| {
             let mut moved = tracker.target.clone();

@@ -20,6 +20,8 @@ pub struct Push {
     /// Deepest overlap of an object that touches; of that with the bodies asked for, where they squeeze
     /// the object from two sides, only what is beyond [`SQUEEZED`] counts.
     pub overlap: Overlap,
+    /// Whether the bodies asked for press deeper than [`SQUEEZED`] into what they squeeze.
+    pub crushes: bool,
 }
 
 /// How far jaws may press into what they squeeze, m: a needle gives in by a fifth of a millimetre to 1 N.
@@ -55,6 +57,7 @@ impl Push {
         strongest: 0.0,
         point: Point3::new(0.0, 0.0, 0.0),
         overlap: Overlap::NONE,
+        crushes: false,
     };
 
     /// What two bodies feel together.
@@ -64,6 +67,7 @@ impl Push {
         Self {
             force: self.force + other.force,
             overlap: self.overlap.or(other.overlap),
+            crushes: self.crushes || other.crushes,
             ..stronger
         }
     }
@@ -126,7 +130,9 @@ impl World {
                     }
                 }
                 if touches {
-                    push.overlap = push.overlap.or(self.overlap_of(met, instrument));
+                    let (overlap, crushes) = self.overlap_of(met, instrument);
+                    push.overlap = push.overlap.or(overlap);
+                    push.crushes |= crushes;
                 }
             }
         }
@@ -175,8 +181,8 @@ impl World {
     }
 
     /// Deepest overlap of any part of the body that `part` belongs to; of that with the bodies of
-    /// `instrument`, where these squeeze it, only what is beyond [`SQUEEZED`].
-    fn overlap_of(&self, part: ColliderHandle, instrument: &[BodyId]) -> Overlap {
+    /// `instrument`, where these squeeze it, only what is beyond [`SQUEEZED`]. And whether any is.
+    fn overlap_of(&self, part: ColliderHandle, instrument: &[BodyId]) -> (Overlap, bool) {
         let body = self.colliders[part].parent().expect("every collider belongs to a body");
         let touching = instrument.iter().filter(|each| self.touch(**each, BodyId(body)));
         let is_squeezed = touching.count() > 1;
@@ -186,6 +192,7 @@ impl World {
         };
         let is_object = self.free.contains(&body);
         let mut deepest = Overlap::NONE;
+        let mut is_crushed = false;
         for part in self.bodies[body].colliders() {
             for pair in self.narrow_phase.contact_pairs_with(*part) {
                 let first = pair.collider1 == *part;
@@ -203,6 +210,7 @@ impl World {
                 for manifold in pair.manifolds() {
                     for contact in &manifold.points {
                         let depth = -f64::from(contact.dist) / SCALE - allowed;
+                        is_crushed |= by_instrument && is_squeezed && depth > 0.0;
                         if depth > deepest.depth {
                             let local = if first { contact.local_p1 } else { contact.local_p2 };
                             let point =
@@ -214,7 +222,7 @@ impl World {
                 }
             }
         }
-        deepest
+        (deepest, is_crushed)
     }
 }
 
