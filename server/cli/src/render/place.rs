@@ -56,9 +56,9 @@ pub(super) fn angle(text: &str) -> Result<f64, String> {
 
 /// Reads `WIDTHxHEIGHT`.
 pub(super) fn size(text: &str) -> Result<[usize; 2], String> {
-    let read = |text: &str| text.parse().ok().filter(|pixels| (8..=4096).contains(pixels));
+    let read = |text: &str| text.parse().ok().filter(|pixels| (8..=2048).contains(pixels));
     let size = text.split_once('x').and_then(|(width, height)| Some([read(width)?, read(height)?]));
-    size.ok_or_else(|| "expected WIDTHxHEIGHT, each 8 to 4096".into())
+    size.ok_or_else(|| "expected WIDTHxHEIGHT, each 8 to 2048".into())
 }
 
 #[cfg(test)]
