@@ -316,6 +316,7 @@ impl<W: Divisible> Pile<W> {
         turn.scheduler.spent.fetch_add(computed, Ordering::Relaxed);
         let taken = start.elapsed().as_nanos() as u64;
         turn.scheduler.threads.busy.fetch_add(taken, Ordering::Relaxed);
+        drop(turn); // others may have the thread
     }
 
     /// The next bite, if there is one and still time for it.

@@ -96,6 +96,7 @@ use super::ecm_scene::{CAMERA_ANGLE, SECONDS_PER_STEP};
 use super::options::{self, Preset};
 use super::path::{self, LAP, Path};
 use super::track::{Layout, Tracker};
+use crate::render::Scene;
 use crate::sim::random::Rng;
 use crate::sim::world::{Solver, World};
 
@@ -197,6 +198,10 @@ impl Task for ActiveTrack {
 
     fn observe(&self, _: &World, observation: &mut [f32], _: &mut [f32], _: &mut [f32]) {
         self.tracker.observe(observation);
+    }
+
+    fn scene(&self, _: &World, scene: &mut Scene) {
+        self.tracker.draw(scene);
     }
 
     fn expert(&self, _: &World, action: &mut [f32]) {

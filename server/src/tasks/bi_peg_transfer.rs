@@ -120,7 +120,9 @@ use super::peg_board::{Block, Layout, PegBoard};
 use super::peg_expert::{self, Transfer};
 use super::psm_scene::{self, MAX_STEPS, PaperAction, PsmArm, SECONDS_PER_STEP, Station, Turn};
 use super::start::{self, Start};
+use super::theatre;
 use super::tray;
+use crate::render::Scene;
 use crate::sim::frames::{Aabb, Pose};
 use crate::sim::grasp::{Grasp, GraspMode};
 use crate::sim::instrument::{JAW_OPEN, TIP_OFFSET};
@@ -262,6 +264,12 @@ impl Task for BiPegTransfer {
         bimanual::observe([one, two], world, &centre, &walls, self.preset, observation);
         objects::write_goal(&centre.translation.vector, self.preset, achieved);
         objects::write_goal(&PegBoard::peg(target), self.preset, desired);
+    }
+
+    fn scene(&self, world: &World, scene: &mut Scene) {
+        theatre::draw(scene);
+        self.board.draw(world, &self.layout, scene);
+        self.arms.iter().for_each(|arm| arm.draw(world, scene));
     }
 
     fn expert(&self, world: &World, action: &mut [f32]) {

@@ -79,6 +79,7 @@ use trocar_proto::{Options, Rejection, TaskSpec};
 use super::Task;
 use super::ecm_scene::{Control, EcmArm, SECONDS_PER_STEP, STEP_LENGTH};
 use super::options::{self, Preset};
+use crate::render::Scene;
 use crate::sim::frames::Aabb;
 use crate::sim::random::Rng;
 use crate::sim::world::{Solver, World};
@@ -94,6 +95,9 @@ const GOALS: Aabb = Aabb::new([0.45, -0.05, 0.60], [0.55, 0.05, 0.70]);
 
 /// Distance below which the goal is reached, m. Source: the paper.
 const TOLERANCE: f32 = 0.005;
+
+/// Radius of the ball that marks the goal, m: it is seen from 2 m away.
+const GOAL_RADIUS: f64 = 0.01;
 
 /// The part of a full action with which the expert moves.
 const EXPERT_SPEED: f64 = 0.3;
@@ -182,6 +186,11 @@ impl Task for EcmReach {
             achieved[axis] = camera[axis] as f32;
             desired[axis] = self.goal[axis] as f32;
         }
+    }
+
+    fn scene(&self, _: &World, scene: &mut Scene) {
+        self.arm.draw(scene);
+        scene.add_goal(&self.goal, GOAL_RADIUS);
     }
 
     fn expert(&self, _: &World, action: &mut [f32]) {

@@ -44,6 +44,8 @@ use trocar_proto::{Options, Rejection};
 
 use super::camera;
 use super::options::{self, ActionMode, Domain, Preset};
+use super::theatre;
+use crate::render::{Scene, Viewpoint};
 use crate::robots::Ecm;
 use crate::sim::frames::{self, Aabb, Pose};
 use crate::sim::random::Rng;
@@ -82,6 +84,9 @@ const POSITIONS: Aabb = Aabb::new([-0.26, -0.26, -0.26], [0.26, 0.26, 0.26]);
 
 /// Largest error of the camera's direction that episodes may draw, rad.
 pub const CAMERA_ANGLE: f64 = 0.05;
+
+/// Height of the overview's view, rad.
+const OVERVIEW: f64 = 0.72;
 
 /// What `action = "paper"` commands.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -219,6 +224,16 @@ impl EcmArm {
     pub fn world_from_camera(&self) -> Pose {
         let joints = std::array::from_fn(|joint| self.joints[joint] + self.offsets[joint]);
         self.camera_with(&joints)
+    }
+
+    /// Draws the arm as it truly is, as `ecm`, over a floor with a pattern of tiles; its camera is the
+    /// endoscope.
+    pub fn draw(&self, scene: &mut Scene) {
+        theatre::draw_tiles(scene);
+        let joints = std::array::from_fn(|joint| self.joints[joint] + self.offsets[joint]);
+        theatre::draw_ecm(scene, &self.world_from_rcm, &joints);
+        scene.stage = Aabb::new([-0.8, -0.7, 0.0], [0.9, 0.7, 0.9]);
+        scene.overview = Viewpoint::towards([1.75, -0.95, 1.45], [0.18, -0.02, 0.55], OVERVIEW);
     }
 
     /// A vector of the world (m) in the axes of the RCM frame.

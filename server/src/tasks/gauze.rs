@@ -7,6 +7,7 @@ use super::options::{Domain, Preset};
 use super::psm_scene::WORKSPACE;
 use super::tray;
 use crate::assets::{Model, Scaled};
+use crate::render::Scene;
 use crate::sim::frames::{self, Aabb, Pose};
 use crate::sim::random::Rng;
 use crate::sim::world::{BodyId, World};
@@ -94,6 +95,12 @@ impl Gauze {
         let x = centre.x + rng.uniform(-NARROW, NARROW);
         let y = centre.y + rng.uniform(-NARROW, NARROW);
         self.lay(world, x, y);
+    }
+
+    /// Draws the gauze and its tray.
+    pub fn draw(&self, world: &World, scene: &mut Scene) {
+        scene.add_model("tray", Model::tray(), &scene_from_tray());
+        self.object.draw(world, "gauze", scene);
     }
 
     /// The middle of the crest of its pleat in the gauze, m.

@@ -110,6 +110,8 @@ use super::psm_scene::{
     self, MAX_STEPS, PaperAction, PsmArm, SECONDS_PER_STEP, Station, Turn, WORKSPACE,
 };
 use super::start::{self, Start};
+use super::theatre;
+use crate::render::Scene;
 use crate::sim::frames::Pose;
 use crate::sim::grasp::Grasp;
 use crate::sim::instrument::TIP_OFFSET;
@@ -229,6 +231,13 @@ impl Task for GauzeRetrieve {
         objects::observe(&gauze, &crest, self.arm.scene_from_wrist(), self.preset, object);
         objects::write_goal(&gauze.translation.vector, self.preset, achieved);
         objects::write_goal(&self.goal, self.preset, desired);
+    }
+
+    fn scene(&self, world: &World, scene: &mut Scene) {
+        theatre::draw(scene);
+        self.gauze.draw(world, scene);
+        self.arm.draw(world, scene);
+        scene.add_goal(&self.goal, theatre::GOAL_RADIUS);
     }
 
     fn expert(&self, world: &World, action: &mut [f32]) {

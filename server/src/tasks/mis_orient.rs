@@ -91,6 +91,7 @@ use super::ecm_scene::{
     CAMERA_ANGLE, Control, EcmArm, SECONDS_PER_STEP, STEP_ROLL, misorientation_element,
 };
 use super::options;
+use crate::render::Scene;
 use crate::sim::random::Rng;
 use crate::sim::world::{Solver, World};
 
@@ -191,6 +192,10 @@ impl Task for MisOrient {
         }
         achieved[0] = self.arm.misorientation() as f32;
         desired[0] = 0.0;
+    }
+
+    fn scene(&self, _: &World, scene: &mut Scene) {
+        self.arm.draw(scene);
     }
 
     fn expert(&self, _: &World, action: &mut [f32]) {

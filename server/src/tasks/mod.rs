@@ -19,6 +19,7 @@ use trocar_proto::spec::OptionSpec;
 use trocar_proto::{Code, Options, Rejection, TaskSpec};
 
 use crate::env::Env;
+use crate::render::Scene;
 use crate::sim::frames::Aabb;
 use crate::sim::random::Rng;
 use crate::sim::world::World;
@@ -45,6 +46,7 @@ pub mod pick;
 pub mod psm_scene;
 pub mod start;
 pub mod static_track;
+pub mod theatre;
 pub mod track;
 pub mod tray;
 
@@ -94,6 +96,11 @@ pub trait Task: Clone + Send + Sync + 'static {
 
     /// Writes what a scripted expert would do now.
     fn expert(&self, world: &World, action: &mut [f32]);
+
+    /// Adds what there is to see, and from where; by default every body as its collision shapes.
+    fn scene(&self, world: &World, scene: &mut Scene) {
+        scene.add_world(world);
+    }
 
     /// Where free objects are to stay, m; see [`Env::has_lost_objects`].
     fn theatre(&self) -> Aabb {
@@ -214,6 +221,7 @@ pub(crate) trait AnyTask: Send + Sync {
         desired: &mut [f32],
     );
     fn expert(&self, world: &World, action: &mut [f32]);
+    fn scene(&self, world: &World, scene: &mut Scene);
     fn theatre(&self) -> Aabb;
     fn reward(&self, world: &World) -> f32;
     fn terminated(&self, world: &World) -> bool;
@@ -253,6 +261,10 @@ impl<T: Task> AnyTask for T {
 
     fn expert(&self, world: &World, action: &mut [f32]) {
         Task::expert(self, world, action);
+    }
+
+    fn scene(&self, world: &World, scene: &mut Scene) {
+        Task::scene(self, world, scene);
     }
 
     fn theatre(&self) -> Aabb {

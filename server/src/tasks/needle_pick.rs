@@ -107,7 +107,9 @@ use super::psm_scene::{
     self, MAX_STEPS, PaperAction, PsmArm, SECONDS_PER_STEP, Station, Turn, WORKSPACE,
 };
 use super::start::{self, Start};
+use super::theatre;
 use super::tray::{self, Needle};
+use crate::render::Scene;
 use crate::sim::frames::Pose;
 use crate::sim::grasp::Grasp;
 use crate::sim::instrument::TIP_OFFSET;
@@ -229,6 +231,14 @@ impl Task for NeedlePick {
         objects::observe(&needle, &middle, self.arm.scene_from_wrist(), self.preset, object);
         objects::write_goal(&middle.translation.vector, self.preset, achieved);
         objects::write_goal(&self.goal, self.preset, desired);
+    }
+
+    fn scene(&self, world: &World, scene: &mut Scene) {
+        theatre::draw(scene);
+        tray::draw(scene);
+        self.needle.draw(world, scene);
+        self.arm.draw(world, scene);
+        scene.add_goal(&self.goal, theatre::GOAL_RADIUS);
     }
 
     fn expert(&self, world: &World, action: &mut [f32]) {

@@ -90,7 +90,9 @@ use super::options::{self, Preset};
 use super::psm_scene::{
     MAX_STEPS, PaperAction, PsmArm, REACH, SECONDS_PER_STEP, STEP_LENGTH, Station, Turn, WORKSPACE,
 };
+use super::theatre;
 use super::tray::{self, Needle};
+use crate::render::Scene;
 use crate::sim::frames::Pose;
 use crate::sim::instrument::{JAW_CLOSED, TIP_OFFSET};
 use crate::sim::random::Rng;
@@ -204,6 +206,14 @@ impl Task for NeedleReach {
             achieved[axis] = (tip[axis] * scale) as f32;
             desired[axis] = (self.goal[axis] * scale) as f32;
         }
+    }
+
+    fn scene(&self, world: &World, scene: &mut Scene) {
+        theatre::draw(scene);
+        tray::draw(scene);
+        self.needle.draw(world, scene);
+        self.arm.draw(world, scene);
+        scene.add_goal(&self.goal, theatre::GOAL_RADIUS);
     }
 
     fn expert(&self, _: &World, action: &mut [f32]) {

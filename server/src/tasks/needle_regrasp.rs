@@ -122,7 +122,9 @@ use super::psm_scene::{
     self, MAX_STEPS, PITCH_LIMIT, PaperAction, PsmArm, SECONDS_PER_STEP, Station, Turn,
     pitch_across, pitched,
 };
+use super::theatre;
 use super::tray::{self, Needle};
+use crate::render::Scene;
 use crate::sim::frames::{self, Aabb, Pose};
 use crate::sim::grasp::{Grasp, GraspMode};
 use crate::sim::instrument::{JAW_OPEN, TIP_OFFSET};
@@ -286,6 +288,14 @@ impl Task for NeedleRegrasp {
         bimanual::observe([one, two], world, &needle, &places, self.preset, observation);
         objects::write_goal(&places[0].translation.vector, self.preset, achieved);
         objects::write_goal(&self.goal, self.preset, desired);
+    }
+
+    fn scene(&self, world: &World, scene: &mut Scene) {
+        theatre::draw(scene);
+        tray::draw(scene);
+        self.needle.draw(world, scene);
+        self.arms.iter().for_each(|arm| arm.draw(world, scene));
+        scene.add_goal(&self.goal, theatre::GOAL_RADIUS);
     }
 
     fn expert(&self, world: &World, action: &mut [f32]) {

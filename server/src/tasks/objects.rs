@@ -7,6 +7,7 @@ use trocar_proto::spec::{Element, GoalSpec, OptionSpec};
 use super::options::{self, Preset, Variation};
 use super::psm_scene::{PsmArm, REACH, WORKSPACE};
 use crate::assets::{Model, Scaled};
+use crate::render::Scene;
 use crate::sim::frames::{self, Aabb, Pose};
 use crate::sim::random::Rng;
 use crate::sim::world::{BodyId, World};
@@ -45,6 +46,12 @@ impl Object {
     /// Its shapes and frames in this episode.
     pub fn form(&self) -> &Scaled<'static> {
         &self.form
+    }
+
+    /// Draws it as a body `name`.
+    pub fn draw(&self, world: &World, name: &'static str, scene: &mut Scene) {
+        scene.begin(name);
+        scene.draw_scaled(&self.form, &world.pose(self.body), |material| material);
     }
 
     /// Makes of it what an episode makes of its objects; it must be laid anew.

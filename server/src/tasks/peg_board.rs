@@ -11,6 +11,7 @@ use super::objects::{Object, THEATRE};
 use super::options::{self, Domain, Preset};
 use super::tray;
 use crate::assets::{Model, Scaled};
+use crate::render::Scene;
 use crate::sim::frames::{self, Aabb, Pose};
 use crate::sim::random::Rng;
 use crate::sim::world::{BodyId, World};
@@ -31,6 +32,15 @@ const YAW: f64 = 30.0 * PI / 180.0;
 /// stands on the board is 3.75 mm lower. Source: the original.
 const HORIZONTAL: f64 = 0.005;
 const VERTICAL: f64 = 0.004;
+
+/// Colours of the blocks that stay.
+const OTHERS: [[f32; 3]; 5] = [
+    [0.85, 0.85, 0.83],
+    [0.93, 0.72, 0.18],
+    [0.55, 0.35, 0.72],
+    [0.20, 0.62, 0.60],
+    [0.80, 0.42, 0.30],
+];
 
 /// A block in the world: a triangular ring.
 #[derive(Debug, Clone, Copy)]
@@ -161,6 +171,22 @@ impl PegBoard {
     /// The blocks.
     pub fn blocks(&self) -> &[Block] {
         &self.blocks
+    }
+
+    /// Draws the board and its blocks: the one of `layout` as `block`, in its own colour, and a ring about
+    /// the peg to which it is to go.
+    pub fn draw(&self, world: &World, layout: &Layout, scene: &mut Scene) {
+        scene.add_model("board", Model::pegboard(), &frames::pose(ORIGIN, [0.0; 3]));
+        layout.block.0.draw(world, "block", scene);
+        let others = self.blocks.iter().filter(|block| block.body() != layout.block.body());
+        for (number, (block, colour)) in others.zip(OTHERS).enumerate() {
+            scene.begin(format!("other block {}", number + 1));
+            let at = world.pose(block.body());
+            scene.draw_scaled(block.0.form(), &at, |material| material.coloured(colour));
+        }
+        let top = Self::peg_box(layout.target).max.z;
+        let peg = Self::peg(layout.target);
+        scene.add_goal(&Vector3::new(peg.x, peg.y, top), 1.3 * Self::peg_radius());
     }
 
     /// Stands the blocks on pegs drawn from the sources, at rest, each turned by up to 30° either

@@ -109,7 +109,9 @@ use super::psm_scene::{
     self, MAX_STEPS, PaperAction, PsmArm, SECONDS_PER_STEP, Station, Turn, WORKSPACE,
 };
 use super::start::{self, Start};
+use super::theatre;
 use super::tray;
+use crate::render::Scene;
 use crate::sim::grasp::Grasp;
 use crate::sim::instrument::TIP_OFFSET;
 use crate::sim::random::Rng;
@@ -222,6 +224,12 @@ impl Task for PegTransfer {
         objects::observe(&centre, &wall, self.arm.scene_from_wrist(), self.preset, object);
         objects::write_goal(&centre.translation.vector, self.preset, achieved);
         objects::write_goal(&PegBoard::peg(target), self.preset, desired);
+    }
+
+    fn scene(&self, world: &World, scene: &mut Scene) {
+        theatre::draw(scene);
+        self.board.draw(world, &self.layout, scene);
+        self.arm.draw(world, scene);
     }
 
     fn expert(&self, world: &World, action: &mut [f32]) {

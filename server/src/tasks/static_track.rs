@@ -96,6 +96,7 @@ use super::camera::Cube;
 use super::ecm_scene::{SECONDS_PER_STEP, misorientation_element};
 use super::options;
 use super::track::{Layout, Tracker, image_elements};
+use crate::render::Scene;
 use crate::sim::random::Rng;
 use crate::sim::world::{Solver, World};
 
@@ -200,6 +201,10 @@ impl Task for StaticTrack {
         achieved[1] = point.y as f32;
         achieved[2] = self.tracker.misorientation() as f32;
         desired.fill(0.0);
+    }
+
+    fn scene(&self, _: &World, scene: &mut Scene) {
+        self.tracker.draw(scene);
     }
 
     fn expert(&self, _: &World, action: &mut [f32]) {

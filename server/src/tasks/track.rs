@@ -32,6 +32,8 @@ use trocar_proto::{Options, Rejection};
 use super::camera::{Cube, IMAGE_BOUND, Sighting, TAN_HALF_VIEW, View};
 use super::ecm_scene::{Control, EcmArm, STEP_TURN, misorientation_element};
 use super::options::{self, Preset};
+use crate::assets::Model;
+use crate::render::Scene;
 use crate::sim::random::Rng;
 
 /// Elements of [`Tracker::observe`].
@@ -190,6 +192,22 @@ impl Tracker {
             (self.target.centre.x, self.target.centre.y) = (place.x, place.y);
         }
         self.look();
+    }
+
+    /// Draws the arm and all cubes, the target as `target`.
+    pub fn draw(&self, scene: &mut Scene) {
+        self.arm.draw(scene);
+        for (number, cube) in self.cubes().enumerate() {
+            if number == 0 {
+                scene.begin("target");
+            } else {
+                scene.begin(format!("cube {number}"));
+            }
+            for visual in &Model::cube(cube.edge).visuals {
+                let at = cube.world_from_cube() * visual.body_from_visual;
+                scene.draw(visual.form.mesh(), at, visual.material.coloured(cube.colour));
+            }
+        }
     }
 
     /// What is seen of the target.

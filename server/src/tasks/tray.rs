@@ -7,6 +7,7 @@ use super::objects::Object;
 use super::options::{Domain, Preset};
 use super::psm_scene::WORKSPACE;
 use crate::assets::{Model, Scaled};
+use crate::render::Scene;
 use crate::sim::frames::{self, Aabb, Pose};
 use crate::sim::random::Rng;
 use crate::sim::world::{BodyId, Motion, Solver, World};
@@ -44,6 +45,18 @@ pub fn furnished_world(preset: Preset) -> World {
 pub fn furnish(world: &mut World, model: &Model, origin: [f64; 3]) {
     let pose = frames::pose(origin, [0.0; 3]);
     world.insert(Motion::Fixed, &pose, model.friction, &model.parts);
+}
+
+/// Draws the tray with the pad in it.
+pub fn draw(scene: &mut Scene) {
+    scene.add_model("tray", Model::tray(), &scene_from_tray());
+    scene.add_model("pad", Model::pad(), &scene_from_tray());
+}
+
+/// Draws the table, 1 mm lower than the original has it: there its top is above the tray's floor.
+pub fn draw_table(scene: &mut Scene) {
+    let [x, y, z] = TABLE_ORIGIN;
+    scene.add_model("table", Model::table(), &frames::pose([x, y, z - 0.001], [0.0; 3]));
 }
 
 /// The pad on which objects lie, m.
@@ -127,6 +140,11 @@ impl Needle {
         let y = centre.y + rng.uniform(-NARROW, NARROW);
         let yaw = rng.uniform(-FRAC_PI_2, FRAC_PI_2);
         self.lay(world, x, y, yaw);
+    }
+
+    /// Draws the needle.
+    pub fn draw(&self, world: &World, scene: &mut Scene) {
+        self.object.draw(world, "needle", scene);
     }
 
     /// The middle of the arc, scene frame: x towards the centre of the arc, y along the wire.
