@@ -304,7 +304,6 @@ impl<W: Divisible> Pile<W> {
     }
 
     /// Works on this thread, which is the only one of the turn.
-    #[expect(clippy::needless_pass_by_value, reason = "it ends here, and the turn with it")]
     fn work_off(&self, turn: Turn<'_>) {
         let (start, computed) = (Instant::now(), cpu_time());
         while let Some(work) = self.take() {
