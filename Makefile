@@ -42,10 +42,17 @@ help:
 # ---- Running ----
 
 .PHONY: demo
-demo: $(VENV)/ready ## * one server, a Rust and two Python clients at once; ends with a table
+demo: $(VENV)/ready ## * one server, a Rust and two Python clients at once; ends with a table and target/tasks.png
 	$(CARGO) build --release --locked -p trocar
 	cd client-py && VIRTUAL_ENV=$(abspath $(VENV)) $(BIN)/maturin develop --quiet --release --locked
 	$(TARGET)/release/trocar demo --python $(BIN)/python
+	$(TARGET)/release/trocar render --out $(TARGET)/tasks.png
+
+# Also what `every_task_looks_as_it_did` expects.
+.PHONY: pictures
+pictures: ## assets/pictures/<task>.png: a picture of every task, for the README and the tests
+	$(CARGO) build --release --locked -p trocar
+	$(TARGET)/release/trocar render --each assets/pictures
 
 .PHONY: wheels
 wheels: $(VENV)/ready ## * dist/: the wheels trocar (client) and trocar-server (the program)

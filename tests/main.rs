@@ -8,6 +8,7 @@
 //! | `conformance.rs` | one suite on in-process environments and on a remote session |
 //! | `parity.rs` | same seed and actions, same bits, however it is run |
 //! | `lifecycle.rs` | whoever is killed or stopped, the others go on and nothing is left |
+//! | `images.rs` | pictures through a session |
 //! | `refusals.rs` | bad input is refused by name, and harms nobody |
 //! | `snapshots.rs` | snapshot, restore, fork; bytes that go to another server |
 //! | `reconnect.rs` | sessions that survive the loss of their server |
@@ -24,6 +25,7 @@ mod conformance;
 mod dependencies;
 mod fuzz;
 mod harness;
+mod images;
 mod lifecycle;
 mod namespaces;
 mod operation;

@@ -1,8 +1,8 @@
 //! Arrays in both directions: replies as NumPy arrays, what Python sends as plain numbers.
 
-use numpy::ndarray::ArrayView2;
+use numpy::ndarray::{ArrayView, ArrayView2, ArrayViewD, Axis, Dimension};
 use numpy::{
-    Element, PyArray1, PyArray2, PyArrayDyn, PyArrayMethods, PyReadonlyArrayDyn,
+    Element, PyArray, PyArray1, PyArray2, PyArrayDyn, PyArrayMethods, PyReadonlyArrayDyn,
     PyUntypedArrayMethods,
 };
 use pyo3::prelude::*;
@@ -29,14 +29,31 @@ pub(crate) fn matrix<'py, T: Element>(
     if copy { Ok(PyArray2::from_array(reply.py(), &rows)) } else { view(&rows, reply) }
 }
 
+/// The pictures of one view: a (rows, …) array of those that lie (rows, views, …), as [`matrix`].
+pub(crate) fn pictures<'py, T: Element>(
+    reply: &Bound<'py, Reply>,
+    part: Part<T>,
+    shape: &[usize],
+    views: usize,
+    index: usize,
+    copy: bool,
+) -> PyResult<Bound<'py, PyArrayDyn<T>>> {
+    let inner = reply.get().inner();
+    let shape = [&[inner.rows(), views], shape].concat();
+    let all = ArrayViewD::from_shape(shape, part(&inner))
+        .map_err(|error| error::new(reply.py(), "Malformed", error.to_string()))?;
+    let rows = all.index_axis(Axis(1), index);
+    if copy { Ok(PyArrayDyn::from_array(reply.py(), &rows)) } else { view(&rows, reply) }
+}
+
 #[allow(unsafe_code)]
-fn view<'py, T: Element>(
-    rows: &ArrayView2<'_, T>,
+fn view<'py, T: Element, D: Dimension>(
+    rows: &ArrayView<'_, T, D>,
     owner: &Bound<'py, Reply>,
-) -> PyResult<Bound<'py, PyArray2<T>>> {
+) -> PyResult<Bound<'py, PyArray<T, D>>> {
     // SAFETY: `rows` lies in the shared memory of `owner`'s reply, which stays mapped at the same
     // place until `owner` is dropped; the new array's base keeps `owner` alive.
-    let view = unsafe { PyArray2::borrow_from_array(rows, owner.clone().into_any()) };
+    let view = unsafe { PyArray::borrow_from_array(rows, owner.clone().into_any()) };
     view.try_readwrite()?.make_nonwriteable();
     Ok(view)
 }

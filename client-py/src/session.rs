@@ -8,8 +8,9 @@ use pyo3::intern;
 use pyo3::prelude::*;
 use pyo3::types::{PyBytes, PyDict};
 use trocar_client::Code;
+use trocar_client::proto::spec::ImageKind;
 
-use crate::array::{check_shape, flags, matrix, with_numbers};
+use crate::array::{Part, check_shape, flags, matrix, pictures, with_numbers};
 use crate::snapshot::Snapshot;
 use crate::spec::TaskSpec;
 use crate::{error, wait};
@@ -328,6 +329,12 @@ impl Reply {
         self.inner().spec().goal.is_some()
     }
 
+    /// Whether the state is wanted, which it is unless only pictures are.
+    #[getter]
+    fn has_state(&self) -> bool {
+        self.inner().spec().images.as_ref().is_none_or(|images| images.with_state)
+    }
+
     fn env_ids<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<i64>> {
         let reply = self.inner();
         PyArray1::from_iter(py, (0..reply.rows()).map(|row| i64::from(reply.env_id(row))))
@@ -375,6 +382,20 @@ impl Reply {
         matrix(slf, trocar_client::Reply::expert_action, width, copy)
     }
 
+    /// Pictures by name, `rgb` or `rgb_left` and so on: arrays of shape (rows, …).
+    #[pyo3(signature = (copy=true))]
+    fn images<'py>(slf: &Bound<'py, Self>, copy: bool) -> PyResult<Bound<'py, PyDict>> {
+        use trocar_client::Reply as R;
+        images(slf, [R::depth, R::points], R::rgb, R::mask, copy)
+    }
+
+    /// As `images`, of episodes that a same-step autoreset replaced.
+    #[pyo3(signature = (copy=true))]
+    fn final_images<'py>(slf: &Bound<'py, Self>, copy: bool) -> PyResult<Bound<'py, PyDict>> {
+        use trocar_client::Reply as R;
+        images(slf, [R::final_depth, R::final_points], R::final_rgb, R::final_mask, copy)
+    }
+
     fn reward<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<f32>> {
         PyArray1::from_slice(py, self.inner().reward())
     }
@@ -417,15 +438,22 @@ impl Reply {
         copy: bool,
     ) -> PyResult<Transition<'py>> {
         let (py, reply) = (slf.py(), slf.get());
-        let observation = Self::observation(slf, copy)?;
-        let observation = if reply.has_goals() {
-            let state = PyDict::new(py);
-            state.set_item(intern!(py, "observation"), observation)?;
-            state.set_item(intern!(py, "achieved_goal"), Self::achieved_goal(slf, copy)?)?;
-            state.set_item(intern!(py, "desired_goal"), Self::desired_goal(slf, copy)?)?;
+        let (has_goals, images) = (reply.has_goals(), reply.inner().spec().images.clone());
+        let observation = if has_goals || images.is_some() {
+            let state = match &images {
+                Some(_) => Self::images(slf, copy)?,
+                None => PyDict::new(py),
+            };
+            if images.is_none_or(|images| images.with_state) {
+                state.set_item(intern!(py, "observation"), Self::observation(slf, copy)?)?;
+            }
+            if has_goals {
+                state.set_item(intern!(py, "achieved_goal"), Self::achieved_goal(slf, copy)?)?;
+                state.set_item(intern!(py, "desired_goal"), Self::desired_goal(slf, copy)?)?;
+            }
             state.into_any()
         } else {
-            observation.into_any()
+            Self::observation(slf, copy)?.into_any()
         };
         let infos = PyDict::new(py);
         infos.set_item(intern!(py, "is_success"), reply.is_success(py))?;
@@ -455,4 +483,37 @@ impl Reply {
             first(reply.fault()),
         )
     }
+}
+
+/// All pictures of a reply by name.
+fn images<'py>(
+    reply: &Bound<'py, Reply>,
+    [depth, points]: [Part<f32>; 2],
+    rgb: Part<u8>,
+    mask: Part<i32>,
+    copy: bool,
+) -> PyResult<Bound<'py, PyDict>> {
+    let dict = PyDict::new(reply.py());
+    let Some(spec) = reply.get().inner().spec().images.clone() else { return Ok(dict) };
+    let (height, width, views) = (spec.height, spec.width, spec.views.len());
+    for kind in &spec.kinds {
+        for (index, suffix) in spec.views.iter().enumerate() {
+            let array = match kind {
+                ImageKind::Rgb => {
+                    pictures(reply, rgb, &[height, width, 3], views, index, copy)?.into_any()
+                }
+                ImageKind::Depth => {
+                    pictures(reply, depth, &[height, width, 1], views, index, copy)?.into_any()
+                }
+                ImageKind::Mask => {
+                    pictures(reply, mask, &[height, width], views, index, copy)?.into_any()
+                }
+                ImageKind::Points => {
+                    pictures(reply, points, &[height * width, 3], views, index, copy)?.into_any()
+                }
+            };
+            dict.set_item(format!("{}{suffix}", kind.name()), array)?;
+        }
+    }
+    Ok(dict)
 }

@@ -84,6 +84,22 @@ impl TaskSpec {
         self.spec.goal.as_ref().map(|goal| elements(&goal.elements))
     }
 
+    /// The pictures of an observation; `None` where they are not asked for.
+    #[getter]
+    fn images(&self) -> Option<ImageSpec> {
+        self.spec.images.clone().map(|images| ImageSpec {
+            kinds: images.kinds.iter().map(|kind| kind.name()).collect(),
+            reach: images.reach(),
+            views: images.views,
+            height: images.height,
+            width: images.width,
+            intrinsics: images.intrinsics,
+            far: images.far,
+            bodies: images.bodies,
+            with_state: images.with_state,
+        })
+    }
+
     /// `sparse`, `dense`, or `state` where it is no function of goals.
     #[getter]
     fn reward(&self) -> &'static str {
@@ -164,6 +180,28 @@ impl TaskSpec {
     fn without_goals(&self, py: Python<'_>) -> PyErr {
         let allowed = "only the server knows its reward, which is no function of goals";
         error::rejection(py, &Rejection::new(Code::Unsupported, "task", &self.spec.id, allowed))
+    }
+}
+
+/// The pictures of an observation.
+#[pyclass(frozen, get_all, module = "trocar._trocar")]
+pub(crate) struct ImageSpec {
+    kinds: Vec<&'static str>,
+    views: Vec<String>,
+    height: usize,
+    width: usize,
+    intrinsics: [f64; 4],
+    far: f32,
+    reach: [f32; 2],
+    bodies: Vec<String>,
+    with_state: bool,
+}
+
+#[pymethods]
+impl ImageSpec {
+    fn __repr__(&self) -> String {
+        let Self { kinds, height, width, .. } = self;
+        format!("<{kinds:?} of {height} by {width} pixels>")
     }
 }
 

@@ -648,4 +648,48 @@ impl Reply {
     pub fn expert_action(&self) -> &[f32] {
         self.layout.expert_action.view(self.raw.payload(), self.rows())
     }
+
+    /// Red, green, blue of every pixel, a row for each environment: u8 (rows, views, height, width, 3); empty
+    /// where they are not asked for.
+    pub fn rgb(&self) -> &[u8] {
+        self.layout.rgb.view(self.raw.payload(), self.rows())
+    }
+
+    /// As [`Self::rgb`], of episodes that a same-step autoreset replaced; unspecified elsewhere.
+    pub fn final_rgb(&self) -> &[u8] {
+        self.layout.final_rgb.view(self.raw.payload(), self.rows())
+    }
+
+    /// Depth of every pixel along the optical axis, m: f32 (rows, views, height, width); empty where it is not
+    /// asked for.
+    pub fn depth(&self) -> &[f32] {
+        self.layout.depth.view(self.raw.payload(), self.rows())
+    }
+
+    /// As [`Self::depth`], of episodes that a same-step autoreset replaced; unspecified elsewhere.
+    pub fn final_depth(&self) -> &[f32] {
+        self.layout.final_depth.view(self.raw.payload(), self.rows())
+    }
+
+    /// The number of the body that every pixel shows, 0 for none: i32 (rows, views, height, width); empty
+    /// where they are not asked for.
+    pub fn mask(&self) -> &[i32] {
+        self.layout.mask.view(self.raw.payload(), self.rows())
+    }
+
+    /// As [`Self::mask`], of episodes that a same-step autoreset replaced; unspecified elsewhere.
+    pub fn final_mask(&self) -> &[i32] {
+        self.layout.final_mask.view(self.raw.payload(), self.rows())
+    }
+
+    /// Where every pixel's surface is in the axes of the camera, m: f32 (rows, views, height · width, 3); empty
+    /// where they are not asked for.
+    pub fn points(&self) -> &[f32] {
+        self.layout.points.view(self.raw.payload(), self.rows())
+    }
+
+    /// As [`Self::points`], of episodes that a same-step autoreset replaced; unspecified elsewhere.
+    pub fn final_points(&self) -> &[f32] {
+        self.layout.final_points.view(self.raw.payload(), self.rows())
+    }
 }

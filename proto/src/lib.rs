@@ -37,4 +37,4 @@ pub use error::{Code, Rejection};
 pub use spec::{OptionValue, Options, TaskSpec};
 
 /// Version of everything in this crate; both sides must have the same.
-pub const PROTOCOL_VERSION: u32 = 2;
+pub const PROTOCOL_VERSION: u32 = 3;

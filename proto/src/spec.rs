@@ -29,6 +29,8 @@ pub struct TaskSpec {
     pub reward: Reward,
     /// The options this task knows.
     pub options: Vec<OptionSpec>,
+    /// Pictures that an observation has; none unless they are asked for. Tasks leave this to the registry.
+    pub images: Option<ImageSpec>,
 }
 
 impl TaskSpec {
@@ -45,6 +47,12 @@ impl TaskSpec {
     /// Number of elements of a goal; 0 for tasks without goals.
     pub fn goal_dim(&self) -> usize {
         self.goal.as_ref().map_or(0, |goal| goal.elements.len())
+    }
+
+    /// Pixels of one kind of picture in an observation; 0 where it has none of this kind.
+    pub fn pixels(&self, kind: ImageKind) -> usize {
+        let images = self.images.as_ref().filter(|images| images.kinds.contains(&kind));
+        images.map_or(0, |images| images.views.len() * images.height * images.width)
     }
 
     /// Whether `achieved` reaches `desired`; never for tasks without goals.
@@ -72,6 +80,76 @@ impl Element {
     /// An element in `[min, max]`.
     pub fn new(name: &str, frame: &str, unit: &str, min: f32, max: f32) -> Self {
         Self { name: name.into(), frame: frame.into(), unit: unit.into(), min, max }
+    }
+}
+
+/// The pictures of an observation. Their cameras are OpenCV's: x to the right, y down, z forward; pixel
+/// (u, v), from 0, shows what lies along ((u − cx)/fx, (v − cy)/fy, 1).
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct ImageSpec {
+    /// What there is of each view.
+    pub kinds: Vec<ImageKind>,
+    /// What is appended to the names of the pictures of each view: nothing, or `_left` and `_right`.
+    pub views: Vec<String>,
+    /// Rows of a picture.
+    pub height: usize,
+    /// Columns of a picture.
+    pub width: usize,
+    /// Focal lengths and optical axis, pixels: fx, fy, cx, cy.
+    pub intrinsics: [f64; 4],
+    /// Greatest depth, m: that of pixels that show nothing.
+    pub far: f32,
+    /// Names of the bodies: number n of a mask is the name at n − 1, and 0 is nothing.
+    pub bodies: Vec<String>,
+    /// Whether the state is wanted besides.
+    pub with_state: bool,
+}
+
+impl ImageSpec {
+    /// Largest x and y of points, m.
+    pub fn reach(&self) -> [f32; 2] {
+        let [fx, fy, cx, cy] = self.intrinsics;
+        let reach = |pixels: usize, focal: f64, axis: f64| {
+            let widest = axis.max(pixels as f64 - 1.0 - axis) / focal;
+            (widest * f64::from(self.far) * 1.000_001) as f32 // more than rounding adds
+        };
+        [reach(self.width, fx, cx), reach(self.height, fy, cy)]
+    }
+}
+
+/// A kind of picture.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+pub enum ImageKind {
+    /// Red, green, blue: u8 (height, width, 3).
+    Rgb,
+    /// Distance along the optical axis, m: f32 (height, width, 1).
+    Depth,
+    /// Numbers of bodies: i32 (height, width).
+    Mask,
+    /// Where each pixel's surface is, in the axes of the camera, m: f32 (height · width, 3).
+    Points,
+}
+
+impl ImageKind {
+    /// All of them.
+    pub const ALL: [Self; 4] = [Self::Rgb, Self::Depth, Self::Mask, Self::Points];
+
+    /// Its name in the option `observation` and in observations.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Rgb => "rgb",
+            Self::Depth => "depth",
+            Self::Mask => "mask",
+            Self::Points => "points",
+        }
+    }
+
+    /// Numbers of each pixel.
+    pub fn channels(self) -> usize {
+        match self {
+            Self::Rgb | Self::Points => 3,
+            Self::Depth | Self::Mask => 1,
+        }
     }
 }
 

@@ -6,7 +6,7 @@
 
 use iceoryx2::prelude::ZeroCopySend;
 
-use crate::spec::TaskSpec;
+use crate::spec::{ImageKind, TaskSpec};
 
 /// First word of every message: "TRCR".
 pub const MAGIC: u32 = u32::from_le_bytes(*b"TRCR");
@@ -210,6 +210,22 @@ pub struct ReplyLayout {
     pub expert_action: Region,
     /// u64 (rows): the numbers of snapshots that were taken.
     pub snapshot: Region,
+    /// u8 (rows, views · height · width · 3): red, green, blue.
+    pub rgb: Region,
+    /// f32 (rows, views · height · width), m.
+    pub depth: Region,
+    /// i32 (rows, views · height · width): numbers of bodies.
+    pub mask: Region,
+    /// f32 (rows, views · height · width · 3), m.
+    pub points: Region,
+    /// As `rgb`, of an episode that a same-step autoreset replaced.
+    pub final_rgb: Region,
+    /// As `depth`, of an episode that a same-step autoreset replaced.
+    pub final_depth: Region,
+    /// As `mask`, of an episode that a same-step autoreset replaced.
+    pub final_mask: Region,
+    /// As `points`, of an episode that a same-step autoreset replaced.
+    pub final_points: Region,
     /// Size of the payload.
     pub bytes: usize,
 }
@@ -218,6 +234,8 @@ impl ReplyLayout {
     /// The layout for a session of `envs` environments.
     pub fn new(envs: usize, spec: &TaskSpec) -> Self {
         let (observation, goal) = (spec.observation_dim(), spec.goal_dim());
+        let width = |kind: ImageKind| spec.pixels(kind) * kind.channels();
+        let [rgb, depth, mask, points] = ImageKind::ALL.map(width);
         let mut plan = Planner { rows: envs, end: 0 };
         Self {
             observation: plan.region::<f32>(observation),
@@ -236,6 +254,14 @@ impl ReplyLayout {
             final_desired_goal: plan.region::<f32>(goal),
             expert_action: plan.region::<f32>(spec.action_dim()),
             snapshot: plan.region::<u64>(1),
+            rgb: plan.region::<u8>(rgb),
+            depth: plan.region::<f32>(depth),
+            mask: plan.region::<i32>(mask),
+            points: plan.region::<f32>(points),
+            final_rgb: plan.region::<u8>(rgb),
+            final_depth: plan.region::<f32>(depth),
+            final_mask: plan.region::<i32>(mask),
+            final_points: plan.region::<f32>(points),
             bytes: plan.bytes().max(MIN_REPLY),
         }
     }
@@ -245,7 +271,7 @@ impl ReplyLayout {
 mod tests {
     use super::*;
     use crate::goal::{Reward, SuccessRule};
-    use crate::spec::{Element, GoalSpec};
+    use crate::spec::{Element, GoalSpec, ImageSpec};
 
     fn spec(action: usize, observation: usize, goal: usize) -> TaskSpec {
         let elements = |count| vec![Element::new("x", "world", "m", -1.0, 1.0); count];
@@ -262,13 +288,31 @@ mod tests {
             }),
             reward: Reward::Sparse,
             options: vec![],
+            images: None,
         }
+    }
+
+    fn with_images(spec: TaskSpec, kinds: &[ImageKind]) -> TaskSpec {
+        let images = ImageSpec {
+            kinds: kinds.to_vec(),
+            views: vec!["_left".into(), "_right".into()],
+            height: 3,
+            width: 5,
+            intrinsics: [4.0, 4.0, 2.0, 1.0],
+            far: 10.0,
+            bodies: vec![],
+            with_state: true,
+        };
+        TaskSpec { images: Some(images), ..spec }
     }
 
     #[test]
     fn regions_are_aligned_and_do_not_overlap() {
-        for envs in [1, 3, 64, 4096] {
-            let layout = ReplyLayout::new(envs, &spec(5, 19, 3));
+        let plain = spec(5, 19, 3);
+        let some = with_images(plain.clone(), &[ImageKind::Rgb, ImageKind::Mask]);
+        let all = with_images(plain.clone(), &ImageKind::ALL);
+        for (envs, spec) in [(1, &plain), (3, &all), (64, &some), (4096, &plain)] {
+            let layout = ReplyLayout::new(envs, spec);
             let regions = [
                 layout.observation,
                 layout.achieved_goal,
@@ -286,6 +330,14 @@ mod tests {
                 layout.final_desired_goal,
                 layout.expert_action,
                 layout.snapshot,
+                layout.rgb,
+                layout.depth,
+                layout.mask,
+                layout.points,
+                layout.final_rgb,
+                layout.final_depth,
+                layout.final_mask,
+                layout.final_points,
             ];
             for pair in regions.windows(2) {
                 assert!(pair[0].range(envs).end <= pair[1].offset);
@@ -295,6 +347,14 @@ mod tests {
                 assert!(region.range(envs).end <= layout.bytes);
             }
         }
+    }
+
+    #[test]
+    fn only_pictures_that_are_asked_for_take_room() {
+        let layout = ReplyLayout::new(2, &with_images(spec(5, 19, 3), &[ImageKind::Depth]));
+        assert_eq!((layout.rgb.width, layout.depth.width, layout.points.width), (0, 30, 0));
+        let layout = ReplyLayout::new(2, &spec(5, 19, 3));
+        assert_eq!((layout.rgb.width, layout.final_points.width), (0, 0));
     }
 
     #[test]

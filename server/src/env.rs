@@ -33,7 +33,10 @@ use crate::tasks::AnyTask;
 use crate::tasks::options::{Domain, SCALED_LENGTH, SCALED_LENGTHS_PER_METRE};
 use crate::tasks::start::Starts;
 
+mod imaging;
 mod rebuild;
+
+pub(crate) use imaging::Imaging;
 
 pub(crate) use rebuild::{Identity, Rebuild};
 
@@ -61,6 +64,7 @@ pub struct Env {
     spec: Arc<TaskSpec>,
     beginning: Beginning,
     options: Arc<Options>,
+    imaging: Option<Arc<Imaging>>,
     domain: Domain,
     task: Box<dyn AnyTask>,
     world: World,
@@ -141,6 +145,7 @@ impl Env {
         world: World,
         domain: Domain,
         options: Options,
+        imaging: Option<Imaging>,
     ) -> Self {
         let (action, observation, goal) =
             (spec.action_dim(), spec.observation_dim(), spec.goal_dim());
@@ -152,6 +157,7 @@ impl Env {
                 Beginning::World(Arc::new(world.clone()))
             },
             options: Arc::new(options),
+            imaging: imaging.map(Arc::new),
             domain,
             task,
             world,
@@ -189,6 +195,17 @@ impl Env {
         let mut scene = Scene::default();
         self.task.scene(&self.world, &mut scene);
         scene
+    }
+
+    /// Draws the pictures that the options ask for, one view after the other; shapes as in
+    /// [`trocar_proto::wire::ReplyLayout`], empty what is not asked for.
+    ///
+    /// # Panics
+    /// Where a slice has another length.
+    pub fn show(&self, rgb: &mut [u8], depth: &mut [f32], mask: &mut [i32], points: &mut [f32]) {
+        if let Some(imaging) = &self.imaging {
+            imaging.draw(&self.scene(), rgb, depth, mask, points);
+        }
     }
 
     /// Whether an object has left the theatre: it fell off the table, or was thrown away. Observations
@@ -490,6 +507,7 @@ mod tests {
                 goal: None,
                 reward: Reward::State,
                 options: vec![],
+                images: None,
             }
         }
 

@@ -13,8 +13,9 @@ from numpy.typing import ArrayLike, NDArray
 from trocar import _trocar
 from trocar.errors import InvalidOption, InvalidRequest, refuse
 
-Arrays = dict[str, NDArray[np.float32]]
-"""Arrays by name: ``observation``, and ``achieved_goal``, ``desired_goal`` for tasks with goals."""
+Arrays = dict[str, NDArray[Any]]
+"""Arrays by name: ``observation``, ``achieved_goal`` and ``desired_goal`` for tasks with goals, and
+pictures where they are asked for."""
 
 Observation = Any
 """What environments return: :data:`Arrays`, or the one array of a task without goals."""
@@ -72,10 +73,34 @@ def action_space(spec: _trocar.TaskSpec) -> spaces.Space[NDArray[np.float32]]:
 def observation_space(spec: _trocar.TaskSpec) -> spaces.Space[Observation]:
     """The observations of one environment."""
     state = _box(spec.observation)
-    if spec.goal is None:
+    if spec.goal is None and spec.images is None:
         return state
-    goal = _box(spec.goal)
-    return spaces.Dict({"achieved_goal": goal, "desired_goal": goal, "observation": state})
+    parts: dict[str, spaces.Space[Any]] = {}
+    if spec.images is None or spec.images.with_state:
+        parts["observation"] = state
+    if spec.goal is not None:
+        parts["achieved_goal"] = parts["desired_goal"] = _box(spec.goal)
+    if spec.images is not None:
+        parts |= _image_spaces(spec.images)
+    return spaces.Dict(parts)
+
+
+def _image_spaces(images: _trocar.ImageSpec) -> dict[str, spaces.Space[Any]]:
+    """The pictures of an observation, by name."""
+    height, width = images.height, images.width
+    across, down = images.reach
+    far = np.array([across, down, images.far], np.float32)
+    near = np.array([-across, -down, 0.0], np.float32)
+    shape = (height * width, 3)
+    points = np.broadcast_to(near, shape), np.broadcast_to(far, shape)
+    boxes: dict[str, spaces.Space[Any]] = {
+        "rgb": spaces.Box(0, 255, (height, width, 3), np.uint8),
+        "depth": spaces.Box(0.0, images.far, (height, width, 1), np.float32),
+        "mask": spaces.Box(0, len(images.bodies), (height, width), np.int32),
+        "points": spaces.Box(*points, dtype=np.float32),
+    }
+    names = [(kind, view) for kind in images.kinds for view in images.views]
+    return {kind + view: boxes[kind] for kind, view in names}
 
 
 def _box(elements: Sequence[_trocar.Element]) -> spaces.Space[NDArray[np.float32]]:
@@ -86,8 +111,10 @@ def _box(elements: Sequence[_trocar.Element]) -> spaces.Space[NDArray[np.float32
 
 
 def observation(reply: _trocar.Reply, copy: bool) -> Arrays:
-    """The state that a reply brings: arrays of shape (rows, ...)."""
-    arrays = {"observation": reply.observation(copy)}
+    """What a reply shows: arrays of shape (rows, ...)."""
+    arrays: Arrays = reply.images(copy)
+    if reply.has_state:
+        arrays["observation"] = reply.observation(copy)
     if reply.has_goals:
         arrays["achieved_goal"] = reply.achieved_goal(copy)
         arrays["desired_goal"] = reply.desired_goal(copy)
@@ -95,8 +122,10 @@ def observation(reply: _trocar.Reply, copy: bool) -> Arrays:
 
 
 def final_observation(reply: _trocar.Reply) -> Arrays:
-    """The last state of episodes that the same step replaced: arrays of shape (rows, ...)."""
-    arrays = {"observation": reply.final_observation()}
+    """The last of episodes that the same step replaced: arrays of shape (rows, ...)."""
+    arrays: Arrays = reply.final_images()
+    if reply.has_state:
+        arrays["observation"] = reply.final_observation()
     if reply.has_goals:
         arrays["achieved_goal"] = reply.final_achieved_goal()
         arrays["desired_goal"] = reply.final_desired_goal()
@@ -104,8 +133,8 @@ def final_observation(reply: _trocar.Reply) -> Arrays:
 
 
 def shown(arrays: Arrays) -> Observation:
-    """What an environment returns of a state: all arrays by name, or the only one."""
-    return arrays if len(arrays) > 1 else arrays["observation"]
+    """What an environment returns: all arrays by name, or the state where there is nothing else."""
+    return arrays["observation"] if arrays.keys() == {"observation"} else arrays
 
 
 def check_seed(seed: Any, field: str = "seed") -> int:

@@ -16,6 +16,7 @@ __all__ = [
     "PRIVATE_SERVER",
     "Client",
     "Element",
+    "ImageSpec",
     "OptionSpec",
     "Reply",
     "Session",
@@ -141,10 +142,17 @@ class Reply:
     @property
     def has_goals(self) -> bool:
         """Whether the task has goals; without them, arrays of goals have no columns."""
+    @property
+    def has_state(self) -> bool:
+        """Whether the state is wanted, which it is unless only pictures are."""
     def env_ids(self) -> NDArray[np.int64]:
         """The environment of each row."""
     def observation(self, copy: bool = True) -> NDArray[np.float32]:
         """State after the transition, or after the autoreset: (rows, observation dim)."""
+    def images(self, copy: bool = True) -> dict[str, NDArray[Any]]:
+        """Pictures by name, ``rgb`` or ``rgb_left`` and so on: arrays of shape (rows, ...)."""
+    def final_images(self, copy: bool = True) -> dict[str, NDArray[Any]]:
+        """As ``images``, of episodes that a same-step autoreset replaced."""
     def achieved_goal(self, copy: bool = True) -> NDArray[np.float32]:
         """Achieved goal of that state: (rows, goal dim)."""
     def desired_goal(self, copy: bool = True) -> NDArray[np.float32]:
@@ -229,6 +237,9 @@ class TaskSpec:
     def goal(self) -> list[Element] | None:
         """Achieved and desired goal; ``None`` for tasks without goals."""
     @property
+    def images(self) -> ImageSpec | None:
+        """The pictures of an observation; ``None`` where they are not asked for."""
+    @property
     def reward(self) -> Literal["sparse", "dense", "state"]:
         """Which reward is given; ``state`` is no function of goals."""
     @property
@@ -238,6 +249,42 @@ class TaskSpec:
         """Rewards of goals of shape (..., goal dim), as the server gives them: float32 (...)."""
     def compute_success(self, achieved: ArrayLike, desired: ArrayLike) -> NDArray[np.bool_]:
         """Whether goals of shape (..., goal dim) are reached: bool (...)."""
+
+@final
+class ImageSpec:
+    """The pictures of an observation.
+
+    Their cameras are OpenCV's: x to the right, y down, z forward; pixel (u, v), from 0, shows what
+    lies along ((u - cx) / fx, (v - cy) / fy, 1).
+    """
+
+    @property
+    def kinds(self) -> list[str]:
+        """What there is of each view: ``rgb``, ``depth``, ``mask``, ``points``."""
+    @property
+    def views(self) -> list[str]:
+        """What is appended to the names of each view: nothing, or ``_left`` and ``_right``."""
+    @property
+    def height(self) -> int:
+        """Rows of a picture."""
+    @property
+    def width(self) -> int:
+        """Columns of a picture."""
+    @property
+    def intrinsics(self) -> list[float]:
+        """Focal lengths and optical axis, pixels: fx, fy, cx, cy."""
+    @property
+    def far(self) -> float:
+        """Greatest depth, m: that of pixels that show nothing."""
+    @property
+    def reach(self) -> list[float]:
+        """Largest x and y of points, m."""
+    @property
+    def bodies(self) -> list[str]:
+        """Names of the bodies: number n of a mask is the name at n - 1, and 0 is nothing."""
+    @property
+    def with_state(self) -> bool:
+        """Whether the state is wanted besides."""
 
 @final
 class Element:

@@ -34,6 +34,12 @@ class TrocarEnv(GoalFunctions, gym.Env[Observation, NDArray[np.float32]]):
     by the server at the task's number of steps. Tasks without goals return the array
     ``observation`` alone, never report success, and may terminate.
 
+    With the option ``observation``, e.g. ``("state", "rgb", "depth")``, pictures stand beside the
+    goals: ``rgb`` uint8 (H, W, 3), ``depth`` float32 (H, W, 1) in m, ``mask`` int32 (H, W) and
+    ``points`` float32 (H * W, 3) in m, of ``image_size`` (H, W) from ``camera``; with
+    ``camera="stereo"``, ``rgb_left``, ``rgb_right`` and so on. Observations are then dictionaries
+    for every task. ``task_spec.images`` has intrinsics and the names of the bodies in a mask.
+
     ``reset(seed=s)`` begins the first episode of seed ``s``, ``reset()`` the next one; which one it
     was, ``info["episode_seed"]`` and ``info["episode_index"]`` tell. Without any seed, a random one
     is drawn.

@@ -4,6 +4,7 @@
 //! |---|---|
 //! | `serve.rs`, `status.rs`, `stop.rs`, `clean.rs` | a server's life |
 //! | `tasks.rs`, `rollout.rs`, `bench.rs` | what there is to learn, how well a policy does, how fast |
+//! | `render.rs` | pictures of rollouts: contact sheets, moving pictures |
 //! | `demo.rs` | one server and three clients in two languages at once |
 //! | `load.rs` | many clients at once that are killed and stopped, each compared with a twin |
 //! | `policy.rs`, `process.rs`, `options.rs` | who acts; processes that are started; options as text |
@@ -22,6 +23,7 @@ mod options;
 mod output;
 mod policy;
 mod process;
+mod render;
 mod rollout;
 mod serve;
 mod status;
@@ -47,6 +49,7 @@ const AFTER_HELP: &str = "\
 A first session:
   trocar tasks                                   what there is to learn
   trocar rollout --task NeedleReach-v0           how well its scripted expert does, in this process
+  trocar render --out all.png                    what every task looks like
   trocar serve --name lab                        a server that trainers share (Ctrl-C ends it)
   trocar rollout --task all --server lab         the same episodes, in that server
   trocar bench --quick                           how fast this machine is
@@ -80,6 +83,8 @@ enum Command {
     Tasks(tasks::Tasks),
     /// Run a policy for some episodes and report how often it succeeds
     Rollout(rollout::Rollout),
+    /// Draw rollouts: a contact sheet, a moving picture, or one picture of each task
+    Render(render::Render),
     /// Measure environment steps per second, in this process and through a server
     Bench(bench::Bench),
     /// Load a server with many clients, kill and stop some, and compare every bit
@@ -111,6 +116,7 @@ fn run(command: Command) -> anyhow::Result<()> {
         Command::Clean(clean) => clean.run(),
         Command::Tasks(tasks) => tasks.run(),
         Command::Rollout(rollout) => rollout.run(),
+        Command::Render(render) => render.run(),
         Command::Bench(bench) => bench.run(),
         Command::Load(load) => load.run(),
         Command::LoadClient(client) => client.run(),

@@ -87,6 +87,7 @@ impl Task for PushCube {
             }),
             reward: self.reward,
             options: Self::options(),
+            images: None,
         }
     }
 

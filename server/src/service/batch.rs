@@ -242,6 +242,8 @@ impl Divisible for Work<'_> {
                 }
             }
             write_state(env, self.want_expert, &mut self.rows, row);
+            let Rows { rgb, depth, mask, points, .. } = &mut self.rows;
+            env.show(rgb.row(row), depth.row(row), mask.row(row), points.row(row));
         }
     }
 }
@@ -346,6 +348,9 @@ fn step(env: &mut Env, action: &[f32], autoreset: Autoreset, rows: &mut Rows<'_>
             rows.final_achieved_goal.row(row),
             rows.final_desired_goal.row(row),
         );
+        let Rows { final_rgb, final_depth, final_mask, final_points, .. } = rows;
+        let (rgb, depth) = (final_rgb.row(row), final_depth.row(row));
+        env.show(rgb, depth, final_mask.row(row), final_points.row(row));
         env.reset(None);
         show(env, rows, row);
     }

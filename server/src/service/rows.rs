@@ -22,6 +22,14 @@ pub(crate) struct Rows<'a> {
     pub(crate) final_desired_goal: Columns<'a, f32>,
     pub(crate) expert_action: Columns<'a, f32>,
     pub(crate) snapshot: Columns<'a, u64>,
+    pub(crate) rgb: Columns<'a, u8>,
+    pub(crate) depth: Columns<'a, f32>,
+    pub(crate) mask: Columns<'a, i32>,
+    pub(crate) points: Columns<'a, f32>,
+    pub(crate) final_rgb: Columns<'a, u8>,
+    pub(crate) final_depth: Columns<'a, f32>,
+    pub(crate) final_mask: Columns<'a, i32>,
+    pub(crate) final_points: Columns<'a, f32>,
 }
 
 /// Some rows of one array.
@@ -81,6 +89,14 @@ impl<'a> Rows<'a> {
             final_desired_goal: columns!(final_desired_goal),
             expert_action: columns!(expert_action),
             snapshot: columns!(snapshot),
+            rgb: columns!(rgb),
+            depth: columns!(depth),
+            mask: columns!(mask),
+            points: columns!(points),
+            final_rgb: columns!(final_rgb),
+            final_depth: columns!(final_depth),
+            final_mask: columns!(final_mask),
+            final_points: columns!(final_points),
         };
         debug_assert!(done + rest.len() == layout.bytes);
         rows
@@ -110,7 +126,15 @@ impl<'a> Rows<'a> {
             final_achieved_goal,
             final_desired_goal,
             expert_action,
-            snapshot
+            snapshot,
+            rgb,
+            depth,
+            mask,
+            points,
+            final_rgb,
+            final_depth,
+            final_mask,
+            final_points
         )
     }
 }

@@ -171,6 +171,7 @@ impl Task for ActiveTrack {
             goal: None,
             reward: Reward::State,
             options: Self::options(),
+            images: None,
         }
     }
 

@@ -218,6 +218,7 @@ impl Task for BiPegTransfer {
             goal: Some(PegBoard::goal_spec(self.preset)),
             reward: self.reward,
             options: Self::options(),
+            images: None,
         }
     }
 

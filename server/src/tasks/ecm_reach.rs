@@ -155,6 +155,7 @@ impl Task for EcmReach {
             }),
             reward: self.reward,
             options: Self::options(),
+            images: None,
         }
     }
 

@@ -189,6 +189,7 @@ impl Task for GauzeRetrieve {
             goal: Some(objects::goal_spec("gauze", self.preset)),
             reward: self.reward,
             options: Self::options(),
+            images: None,
         }
     }
 

@@ -159,6 +159,7 @@ impl Task for MisOrient {
             }),
             reward: self.reward,
             options: Self::options(),
+            images: None,
         }
     }
 

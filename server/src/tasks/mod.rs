@@ -18,7 +18,7 @@
 use trocar_proto::spec::OptionSpec;
 use trocar_proto::{Code, Options, Rejection, TaskSpec};
 
-use crate::env::Env;
+use crate::env::{Env, Imaging};
 use crate::render::Scene;
 use crate::sim::frames::Aabb;
 use crate::sim::random::Rng;
@@ -171,16 +171,18 @@ impl Registry {
 
     /// The task `id` under `options`.
     pub fn spec(&self, id: &str, options: &Options) -> Result<TaskSpec, Rejection> {
-        let (task, _, _) = self.build(id, options)?;
-        Ok(spec_of(task.as_ref(), options))
+        let (task, world, resolved) = self.build(id, options)?;
+        let imaging = Imaging::of(&resolved, || first_scene(task.as_ref(), &world))?;
+        Ok(spec_of(task.as_ref(), options, imaging.as_ref()))
     }
 
     /// An environment of the task `id` under `options`; it needs a reset.
     pub fn make(&self, id: &str, options: &Options) -> Result<Env, Rejection> {
         let (task, world, resolved) = self.build(id, options)?;
         let domain = options::Domain::of(&resolved)?;
-        let spec = spec_of(task.as_ref(), options);
-        Ok(Env::new(spec, task, world, domain, resolved))
+        let imaging = Imaging::of(&resolved, || first_scene(task.as_ref(), &world))?;
+        let spec = spec_of(task.as_ref(), options, imaging.as_ref());
+        Ok(Env::new(spec, task, world, domain, resolved, imaging))
     }
 
     fn build(
@@ -193,7 +195,8 @@ impl Registry {
             let allowed = format!("unknown task; this server knows {ids:?}");
             return Err(Rejection::new(Code::UnknownTask, "task", format!("{id:?}"), allowed));
         };
-        let allowed = options::under_preset((entry.options)(), options);
+        let known = options::with_images((entry.options)());
+        let allowed = options::under_preset(known, options);
         let options = options.resolve(&allowed)?;
         let (task, world) = (entry.make)(&options)?;
         Ok((task, world, options))
@@ -201,9 +204,25 @@ impl Registry {
 }
 
 /// What a task looks like; the defaults of its options are those of the preset.
-fn spec_of(task: &dyn AnyTask, options: &Options) -> TaskSpec {
+fn spec_of(task: &dyn AnyTask, options: &Options, imaging: Option<&Imaging>) -> TaskSpec {
     let spec = task.spec();
-    TaskSpec { options: options::under_preset(spec.options, options), ..spec }
+    let known = options::with_images(spec.options);
+    TaskSpec {
+        options: options::under_preset(known, options),
+        images: imaging.map(|imaging| imaging.spec().clone()),
+        ..spec
+    }
+}
+
+/// What there is to see in some episode: all bodies that there will ever be.
+fn first_scene(task: &dyn AnyTask, world: &World) -> Scene {
+    let (mut task, mut world) = (task.boxed_clone(), world.clone());
+    if !task.begins_prepared() {
+        task.reset(&mut world, &mut Rng::new(0, 0));
+    }
+    let mut scene = Scene::default();
+    task.scene(&world, &mut scene);
+    scene
 }
 
 /// [`Task`] behind a pointer.

@@ -188,6 +188,7 @@ impl Task for NeedlePick {
             goal: Some(objects::goal_spec("mid arc", self.preset)),
             reward: self.reward,
             options: Self::options(),
+            images: None,
         }
     }
 

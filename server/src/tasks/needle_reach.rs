@@ -174,6 +174,7 @@ impl Task for NeedleReach {
             }),
             reward: self.reward,
             options: Self::options(),
+            images: None,
         }
     }
 

@@ -243,6 +243,7 @@ impl Task for NeedleRegrasp {
             goal: Some(objects::goal_spec(places[0], self.preset)),
             reward: self.reward,
             options: Self::options(),
+            images: None,
         }
     }
 

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use trocar_proto::goal::Reward;
-use trocar_proto::spec::{Allowed, Element, OptionSpec, OptionValue, RowSpec};
+use trocar_proto::spec::{Allowed, Element, ImageKind, OptionSpec, OptionValue, RowSpec};
 use trocar_proto::{Code, Options, Rejection};
 
 use crate::sim::frames::{self, Aabb, Pose};
@@ -101,6 +101,32 @@ pub fn observation() -> OptionSpec {
         default: OptionValue::Texts(vec!["state".into()]),
         allowed: Allowed::SomeOf(vec!["state".into()]),
     }
+}
+
+/// The options that pictures bring to every task that has `observation`: what it accepts besides the state,
+/// `image_size` and `camera`.
+pub(super) fn with_images(mut known: Vec<OptionSpec>) -> Vec<OptionSpec> {
+    let Some(observation) = known.iter_mut().find(|option| option.name == "observation") else {
+        return known;
+    };
+    observation.summary = "What a step returns: state is the vector described by the task; rgb, \
+                           depth (m), mask (bodies) and points (m) are pictures."
+        .into();
+    if let Allowed::SomeOf(words) = &mut observation.allowed {
+        words.extend(ImageKind::ALL.map(|kind| kind.name().to_string()));
+    }
+    known.push(OptionSpec {
+        name: "image_size".into(),
+        summary: "Rows and columns of pictures, pixels.".into(),
+        default: OptionValue::Numbers(vec![128.0, 128.0]),
+        allowed: Allowed::Vector { count: 2, min: 8.0, max: 1024.0 },
+    });
+    known.push(OptionSpec::choice(
+        "camera",
+        "From where: endoscope (60° high), overview, or stereo, both lenses of the endoscope.",
+        &["endoscope", "overview", "stereo"],
+    ));
+    known
 }
 
 /// Whose numbers a task uses where paper and original code differ.

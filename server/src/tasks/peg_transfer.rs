@@ -180,6 +180,7 @@ impl Task for PegTransfer {
             goal: Some(PegBoard::goal_spec(self.preset)),
             reward: self.reward,
             options: Self::options(),
+            images: None,
         }
     }
 

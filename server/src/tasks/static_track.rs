@@ -173,6 +173,7 @@ impl Task for StaticTrack {
             }),
             reward: self.reward,
             options: Self::options(),
+            images: None,
         }
     }
 

@@ -4,6 +4,7 @@
 use std::sync::Barrier;
 use std::thread;
 
+use trocar_proto::spec::ImageKind;
 use trocar_server::tasks::Registry;
 use trocar_server::{Env, StepError};
 
@@ -16,12 +17,35 @@ struct Player {
     /// Its number in its session.
     index: usize,
     action: Vec<f32>,
+    pictures: Pictures,
+}
+
+/// Room for the pictures that the options ask for; none where they ask for none.
+#[derive(Clone)]
+struct Pictures {
+    rgb: Vec<u8>,
+    depth: Vec<f32>,
+    mask: Vec<i32>,
+    points: Vec<f32>,
+}
+
+impl Pictures {
+    fn of(env: &Env) -> Self {
+        let length = |kind: ImageKind| env.spec().pixels(kind) * kind.channels();
+        let [rgb, depth, mask, points] = ImageKind::ALL.map(length);
+        Self {
+            rgb: vec![0; rgb],
+            depth: vec![0.0; depth],
+            mask: vec![0; mask],
+            points: vec![0.0; points],
+        }
+    }
 }
 
 impl Player {
     /// Steps by one of the actions of a round, or by the expert's.
     fn step(&mut self, round: Option<&[f32]>) -> Result<(), StepError> {
-        let Self { env, index, action, .. } = self;
+        let Self { env, index, action, pictures, .. } = self;
         let dim = action.len();
         let chosen = if let Some(round) = round {
             &round[*index * dim..][..dim]
@@ -36,6 +60,8 @@ impl Player {
         if env.needs_reset() {
             env.reset(None);
         }
+        let Pictures { rgb, depth, mask, points } = pictures;
+        env.show(rgb, depth, mask, points);
         Ok(())
     }
 }
@@ -44,11 +70,12 @@ impl Player {
 pub(super) fn run(registry: &Registry, job: &Job) -> anyhow::Result<Measured> {
     let env = registry.make(&job.task, &job.options)?;
     let action = vec![0.0; env.spec().action_dim()];
+    let pictures = Pictures::of(&env);
     let player = |seed| {
         let mut env = env.clone();
         env.reset(Some(seed));
         let index = (seed % u64::from(job.envs)) as usize;
-        Player { env, seed, index, action: action.clone() }
+        Player { env, seed, index, action: action.clone(), pictures: pictures.clone() }
     };
     let count = job.envs * job.clients;
     let mut players: Vec<_> = (0..u64::from(count)).map(player).collect();
