@@ -648,4 +648,10 @@ impl Reply {
     pub fn expert_action(&self) -> &[f32] {
         self.layout.expert_action.view(self.raw.payload(), self.rows())
     }
+
+    /// The [`trocar_proto::Stage`] that the expert is in there, by number (rows); zeros unless
+    /// [`Session::want_expert`] was set.
+    pub fn expert_stage(&self) -> &[u8] {
+        self.layout.expert_stage.view(self.raw.payload(), self.rows())
+    }
 }

@@ -21,6 +21,7 @@ pub(crate) struct Rows<'a> {
     pub(crate) final_achieved_goal: Columns<'a, f32>,
     pub(crate) final_desired_goal: Columns<'a, f32>,
     pub(crate) expert_action: Columns<'a, f32>,
+    pub(crate) expert_stage: Columns<'a, u8>,
     pub(crate) snapshot: Columns<'a, u64>,
 }
 
@@ -80,6 +81,7 @@ impl<'a> Rows<'a> {
             final_achieved_goal: columns!(final_achieved_goal),
             final_desired_goal: columns!(final_desired_goal),
             expert_action: columns!(expert_action),
+            expert_stage: columns!(expert_stage),
             snapshot: columns!(snapshot),
         };
         debug_assert!(done + rest.len() == layout.bytes);
@@ -110,6 +112,7 @@ impl<'a> Rows<'a> {
             final_achieved_goal,
             final_desired_goal,
             expert_action,
+            expert_stage,
             snapshot
         )
     }

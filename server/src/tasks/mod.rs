@@ -16,7 +16,7 @@
 //! A task of one's own implements [`Task`] and is added by [`Registry::register`].
 
 use trocar_proto::spec::OptionSpec;
-use trocar_proto::{Code, Options, Rejection, TaskSpec};
+use trocar_proto::{Code, Options, Rejection, Stage, TaskSpec};
 
 use crate::env::Env;
 use crate::sim::frames::Aabb;
@@ -94,6 +94,12 @@ pub trait Task: Clone + Send + Sync + 'static {
 
     /// Writes what a scripted expert would do now.
     fn expert(&self, world: &World, action: &mut [f32]);
+
+    /// What that expert is about now; demonstrations are labelled with it.
+    fn stage(&self, world: &World) -> Stage {
+        let _ = world;
+        Stage::Reach
+    }
 
     /// Where free objects are to stay, m; see [`Env::has_lost_objects`].
     fn theatre(&self) -> Aabb {
@@ -214,6 +220,7 @@ pub(crate) trait AnyTask: Send + Sync {
         desired: &mut [f32],
     );
     fn expert(&self, world: &World, action: &mut [f32]);
+    fn stage(&self, world: &World) -> Stage;
     fn theatre(&self) -> Aabb;
     fn reward(&self, world: &World) -> f32;
     fn terminated(&self, world: &World) -> bool;
@@ -253,6 +260,10 @@ impl<T: Task> AnyTask for T {
 
     fn expert(&self, world: &World, action: &mut [f32]) {
         Task::expert(self, world, action);
+    }
+
+    fn stage(&self, world: &World) -> Stage {
+        Task::stage(self, world)
     }
 
     fn theatre(&self) -> Aabb {
