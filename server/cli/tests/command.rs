@@ -75,7 +75,8 @@ impl Drop for Server {
 
 #[test]
 fn every_help_text_shows_examples() {
-    for command in ["serve", "status", "stop", "clean", "tasks", "rollout", "bench", "load", "demo"]
+    for command in
+        ["serve", "status", "stop", "clean", "tasks", "rollout", "demos", "bench", "load", "demo"]
     {
         let help = run(&[command, "--help"]);
         let text = String::from_utf8(help.stdout).unwrap();
