@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import os
+import subprocess
 import sys
 from pathlib import Path
 from typing import Any
@@ -186,6 +188,18 @@ def test_bad_input_is_refused_and_leaves_nothing(
     assert "NeedlePick-v0" in capsys.readouterr().err
     assert main(["--task", TASK, "--out", str(tmp_path), "--server", "no-such-server"]) == 3
     assert list(tmp_path.iterdir()) == []
+
+
+def test_the_command_records_with_python(tmp_path: Path, server: str) -> None:
+    command = [trocar.binary(), "demos", "--task", "GauzeRetrieve-v0", "--episodes", "2"]
+    command += ["--out", str(tmp_path), "--server", server, "--spawn", "narrow", "--json"]
+    variables = os.environ | {"TROCAR_PYTHON": sys.executable}
+    said = json.loads(subprocess.check_output(command, env=variables))
+    path = dataset_path(tmp_path, "GauzeRetrieve-v0")
+    assert said == {"task": "GauzeRetrieve-v0", "episodes": 2, "kept": 2, "path": str(path)}
+    dataset = minari.MinariDataset(path / "data")
+    assert dataset.total_episodes == 2
+    assert json.loads(dataset.storage.metadata["trocar"])["options"] == {"spawn": "narrow"}
 
 
 def test_a_missing_extra_is_named(
