@@ -113,7 +113,7 @@ test-rl: develop .venv-rl/ready .venv-rllib/ready ## * SB3, TorchRL, CleanRL, RL
 
 # Locks, then server, client and shared memory in one process.
 .PHONY: test-valgrind
-test-valgrind: ## memory errors of server, client and shared memory, found by valgrind (which it needs)
+test-valgrind: ## memory errors of server, client and shared memory, by valgrind, which it needs (apt install valgrind)
 	$(CARGO) test --locked -p trocar-proto -p trocar-tests --no-run
 	export CARGO_TARGET_X86_64_UNKNOWN_LINUX_GNU_RUNNER="valgrind --error-exitcode=9 --fair-sched=yes"; \
 	$(CARGO) test --locked -p trocar-proto --lib endpoint; \
@@ -149,7 +149,7 @@ bench-plot: release $(PLOT_VENV)/ready ## * assets/pictures/throughput.png: rate
 	for round in 1 2 3; do for task in EcmReach-v0 NeedlePick-v0; do \
 		bench="$(TARGET)/release/trocar bench --quick --json --policy random --task $$task"; \
 		$$bench --envs 16,64,256,1024,4096; \
-		$$bench --envs 16 --clients 2,4,8,16,32,64 --mode client_rs; \
+		$$bench --envs 16 --clients 1,2,4,8,16,32,64 --mode in_process,client_rs; \
 	done; done > $(TARGET)/throughput.jsonl
 	$(PLOT_VENV)/bin/python client-py/benches/plot_throughput.py assets/pictures/throughput.png \
 		< $(TARGET)/throughput.jsonl

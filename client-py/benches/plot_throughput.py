@@ -39,25 +39,36 @@ def main() -> None:
     parser.add_argument("out", help="the PNG to write")
     arguments = parser.parse_args()
     rows = [json.loads(line) for line in sys.stdin]
-    single = [row for row in rows if row["clients"] == 1 and row["envs"] > 1]
-    shared = [row for row in rows if row["envs"] == 16 and row["mode"] == "client_rs"]
-    figure = Figure(figsize=(9, 3.6), layout="constrained")
-    left, right = figure.subplots(1, 2, sharey=True)
-    for axes, part, by, label in (
-        (left, single, "envs", "environments of one client"),
-        (right, shared, "clients", "Rust clients with 16 environments each"),
+    single = [row for row in rows if row["clients"] == 1]
+    shared = [row for row in rows if row["envs"] == 16 and row["mode"] != "client_py"]
+    figure = Figure(figsize=(9, 6), layout="constrained")
+    panels = figure.subplots(2, 2, sharex="col", sharey="row")
+    for (rates, shares), part, by, label in (
+        (panels[:, 0], single, "envs", "environments of one client"),
+        (panels[:, 1], shared, "clients", "Rust clients with 16 environments each"),
     ):
-        for (task, mode), points in curves(part, by).items():
+        found = curves(part, by)
+        for (task, mode), points in found.items():
             colour, name = STYLE[mode]
             style = "-" if task.startswith("NeedlePick") else "--"
-            axes.plot(
-                *zip(*points, strict=True), style, color=colour, marker=".", label=f"{task}, {name}"
-            )
-        axes.set(xscale="log", yscale="log", xlabel=label)
-        axes.set_xscale("log", base=2)
-        axes.grid(visible=True, which="both", alpha=0.2)
-    left.set_ylabel("environment steps per CPU second")
-    left.legend(fontsize="x-small")
+            alone = dict(found[task, "in_process"])
+            ratios = [(number, rate / alone[number]) for number, rate in points]
+            for axes, line in ((rates, points), (shares, ratios)):
+                axes.plot(
+                    *zip(*line, strict=True),
+                    style,
+                    color=colour,
+                    marker=".",
+                    label=f"{task}, {name}",
+                )
+        rates.set_yscale("log")
+        shares.set(ylim=(0, 1.2), xlabel=label)
+        for axes in (rates, shares):
+            axes.set_xscale("log", base=2)
+            axes.grid(visible=True, which="both", alpha=0.2)
+    panels[0, 0].set_ylabel("environment steps per CPU second")
+    panels[1, 0].set_ylabel("of that in-process, same work")
+    panels[0, 0].legend(fontsize="x-small")
     figure.savefig(arguments.out, dpi=110)
 
 

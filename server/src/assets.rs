@@ -1,4 +1,4 @@
-//! Models of objects: collision shapes, mass, friction and named frames, read from URDFs. Those of
+//! Models of objects: collision shapes, looks, mass, friction and named frames, read from URDFs. Those of
 //! `assets/` are embedded in the program, read once in its life and shared; own tasks bring theirs as
 //! [`Scene`].
 
@@ -9,6 +9,8 @@ use nalgebra::{Matrix3, Point3, Vector3};
 use trocar_proto::{Code, Rejection};
 use urdf_rs::{Geometry, JointType, Robot};
 
+use crate::render::material::Material;
+use crate::render::mesh::{Form, Mesh};
 use crate::sim::frames::{self, Aabb, Pose};
 use crate::sim::world::{BodyId, Inertia, Motion, Part, Shape, World};
 
@@ -23,6 +25,8 @@ pub struct Model {
     pub inertia: Inertia,
     /// Friction coefficient of what it is made of.
     pub friction: f64,
+    /// What is seen of it.
+    pub visuals: Vec<Visual>,
     frames: Vec<(String, Pose)>,
 }
 
@@ -55,6 +59,24 @@ impl Model {
         &PEGBOARD
     }
 
+    /// The cube of a tracking task with edges of this length (m); its origin is its middle.
+    ///
+    /// # Panics
+    /// Where there is no such cube: edges are 0.1 or 0.08 m long.
+    pub fn cube(edge: f64) -> &'static Self {
+        static CUBES: LazyLock<[Model; 2]> = LazyLock::new(|| {
+            [
+                Model::read(include_str!("../../assets/cube/model.urdf")),
+                Model::read(include_str!("../../assets/cube/small.urdf")),
+            ]
+        });
+        let has_edge = |cube: &&Model| {
+            let width = cube.aabb(&Pose::identity()).extents().x;
+            (width - edge).abs() < 1e-6
+        };
+        CUBES.iter().find(has_edge).unwrap_or_else(|| panic!("no cube of {edge} m"))
+    }
+
     /// The pad; its origin is that of the tray in which it lies.
     pub fn pad() -> &'static Self {
         static PAD: LazyLock<Model> =
@@ -84,6 +106,11 @@ impl Model {
         body
     }
 
+    /// The same model, `size` times as large.
+    pub fn scaled(&self, size: f64) -> Scaled<'_> {
+        Scaled { model: self, size }
+    }
+
     /// The frame `name`, fixed to the body.
     ///
     /// # Panics
@@ -95,8 +122,7 @@ impl Model {
 
     /// The box around the collision shapes of the model when it is at `world_from_body`, m.
     pub fn aabb(&self, world_from_body: &Pose) -> Aabb {
-        let boxes = self.parts.iter().map(|part| part.aabb(world_from_body));
-        boxes.reduce(|one, other| one.merged(&other)).expect("a model has collision shapes")
+        self.scaled(1.0).aabb(world_from_body)
     }
 
     /// Reads a model of one body; its other links are frames fixed to it.
@@ -119,6 +145,66 @@ impl Model {
     fn read(urdf: &str) -> Self {
         Self::from_urdf(urdf).unwrap_or_else(|error| panic!("{error}"))
     }
+}
+
+/// A model in another size: shapes, frames and inertia are those of a body of the same density.
+#[derive(Debug, Clone, Copy)]
+pub struct Scaled<'a> {
+    model: &'a Model,
+    size: f64,
+}
+
+impl<'a> Scaled<'a> {
+    /// How many times as large as the model it is.
+    pub fn size(&self) -> f64 {
+        self.size
+    }
+
+    /// The model, `size` times as large, whatever the size of this.
+    #[must_use]
+    pub fn resized(&self, size: f64) -> Self {
+        Self { size, ..*self }
+    }
+
+    /// Its collision shapes.
+    pub fn parts(&self) -> impl Iterator<Item = Part> + use<'a> {
+        let size = self.size;
+        self.model.parts.iter().map(move |part| part.scaled(size))
+    }
+
+    /// What is seen of it, each with where it is in the body.
+    pub fn visuals(&self) -> impl Iterator<Item = (&'a Visual, Pose)> + use<'a> {
+        let size = self.size;
+        let visuals = self.model.visuals.iter();
+        visuals.map(move |visual| (visual, frames::scaled(&visual.body_from_visual, size)))
+    }
+
+    /// How its mass is spread.
+    pub fn inertia(&self) -> Inertia {
+        self.model.inertia.with_size(self.size)
+    }
+
+    /// The frame `name`, see [`Model::body_from`].
+    pub fn body_from(&self, name: &str) -> Pose {
+        frames::scaled(&self.model.body_from(name), self.size)
+    }
+
+    /// The box around its collision shapes when it is at `world_from_body`, m.
+    pub fn aabb(&self, world_from_body: &Pose) -> Aabb {
+        let boxes = self.parts().map(|part| part.aabb(world_from_body));
+        boxes.reduce(|one, other| one.merged(&other)).expect("a model has collision shapes")
+    }
+}
+
+/// A part of what is seen of a body.
+#[derive(Debug, Clone)]
+pub struct Visual {
+    /// Its form.
+    pub form: Form,
+    /// Where it is in the body.
+    pub body_from_visual: Pose,
+    /// Its look.
+    pub material: Material,
 }
 
 /// Why a URDF was not read.
@@ -230,7 +316,8 @@ fn placed(robot: &Robot) -> Result<Vec<Placed>, ModelError> {
         let material = link.visual.first().and_then(|visual| visual.material.as_ref());
         let friction = material.and_then(|material| friction_of(&material.name));
         let friction = friction.unwrap_or(UNKNOWN_FRICTION);
-        let model = Model { parts, mass, inertia, friction, frames: vec![] };
+        let visuals = visuals(&robot.name, link)?;
+        let model = Model { parts, mass, inertia, friction, visuals, frames: vec![] };
         bodies.push(Placed { name: link.name.clone(), model, is_free, scene_from_body });
     }
     for (body, name, pose) in frames {
@@ -240,6 +327,49 @@ fn placed(robot: &Robot) -> Result<Vec<Placed>, ModelError> {
         }
     }
     if bodies.is_empty() { wrong(&robot.name, "has no body") } else { Ok(bodies) }
+}
+
+/// What is seen of a link of the URDF in the folder `folder` of `assets/`: its visual parts; its collision
+/// shapes where it has none, or where their meshes are not part of the program.
+pub(crate) fn visuals(folder: &str, link: &urdf_rs::Link) -> Result<Vec<Visual>, ModelError> {
+    let look = |material: Option<&urdf_rs::Material>| {
+        let named = material.and_then(|material| Material::find(&material.name));
+        let colour =
+            material.and_then(|material| material.color.as_ref()).map(|colour| *colour.rgba);
+        named.unwrap_or_else(|| match colour {
+            Some([red, green, blue, _]) => {
+                Material::named("foam").coloured([red, green, blue].map(|part| part as f32))
+            }
+            None => Material::named("tray"),
+        })
+    };
+    let seen = |visual: &urdf_rs::Visual| -> Option<Visual> {
+        let form = match &visual.geometry {
+            Geometry::Mesh { filename, scale: None } => {
+                Form::embedded(&match filename.strip_prefix("../") {
+                    Some(borrowed) => borrowed.into(),
+                    None => format!("{folder}/{filename}"),
+                })?
+            }
+            other => made(&shape(other).ok()?),
+        };
+        let material = look(visual.material.as_ref());
+        Some(Visual { form, body_from_visual: pose(&visual.origin), material })
+    };
+    let all: Option<Vec<_>> = link.visual.iter().map(seen).collect();
+    if let Some(visuals) = all.filter(|visuals| !visuals.is_empty()) {
+        return Ok(visuals);
+    }
+    let material = look(link.visual.first().and_then(|visual| visual.material.as_ref()));
+    let shown = |collision: &urdf_rs::Collision| -> Result<Visual, ModelError> {
+        let form = made(&shape(&collision.geometry)?);
+        Ok(Visual { form, body_from_visual: pose(&collision.origin), material })
+    };
+    link.collision.iter().map(shown).collect()
+}
+
+fn made(shape: &Shape) -> Form {
+    Form::Made(std::sync::Arc::new(Mesh::of_shape(shape)))
 }
 
 /// Friction coefficient of a material that the table does not have.
@@ -267,7 +397,7 @@ fn inertia(inertial: &urdf_rs::Inertial) -> Inertia {
     }
 }
 
-fn pose(origin: &urdf_rs::Pose) -> Pose {
+pub(crate) fn pose(origin: &urdf_rs::Pose) -> Pose {
     frames::pose(*origin.xyz, *origin.rpy)
 }
 

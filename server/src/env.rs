@@ -26,6 +26,7 @@ use trocar_proto::snapshot::{self, Recipe};
 use trocar_proto::{Code, Options, Rejection, Stage, TaskSpec};
 
 use crate::error::StepError;
+use crate::render::Scene;
 use crate::sim::random::Rng;
 use crate::sim::world::World;
 use crate::tasks::AnyTask;
@@ -181,6 +182,13 @@ impl Env {
     /// What is simulated, to look at.
     pub fn world(&self) -> &World {
         &self.world
+    }
+
+    /// What there is to see now.
+    pub fn scene(&self) -> Scene {
+        let mut scene = Scene::default();
+        self.task.scene(&self.world, &mut scene);
+        scene
     }
 
     /// Whether an object has left the theatre: it fell off the table, or was thrown away. Observations

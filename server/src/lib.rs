@@ -6,6 +6,7 @@
 //! | [`assets`] | models of objects, embedded |
 //! | [`sim`] | the world: physics in SI units, instruments as bodies |
 //! | [`tasks`] | what is learnt: one file per task, and the registry that lists them |
+//! | [`render`] | pictures of it: colour, depth, bodies |
 //! | [`env`] | one environment: a task in its world, episode by episode |
 //! | [`error`] | why an environment could not be stepped |
 //! | [`service`] | hosting: sessions of many clients over shared memory |
@@ -15,6 +16,7 @@
 pub mod assets;
 pub mod env;
 pub mod error;
+pub mod render;
 pub mod robots;
 pub mod service;
 pub mod sim;

@@ -8,7 +8,7 @@
 use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-use trocar_proto::spec::Allowed;
+use trocar_proto::spec::{Allowed, RowSpec};
 use trocar_proto::{OptionValue, Options};
 use trocar_server::tasks::Registry;
 
@@ -53,6 +53,20 @@ fn bars() -> Vec<Bar> {
             let rows = BTreeMap::from([("friction".to_string(), vec![0.5, 0.5])]);
             let slippery = Options::new().with("domain", OptionValue::Table(rows));
             add(slippery, seeds, 0.1);
+        }
+        for option in spec.options.iter().filter(|option| option.name == "domain") {
+            let Allowed::Table(rows) = &option.allowed else { continue };
+            let varied = ["mass", "size", "camera_pose_position", "camera_pose_angle"];
+            let rows = rows.iter().filter(|row| varied.contains(&row.name.as_str()));
+            let draws = |ranges: Vec<(&RowSpec, Vec<f64>)>| {
+                let rows = ranges.into_iter().map(|(row, range)| (row.name.clone(), range));
+                Options::new().with("domain", OptionValue::Table(rows.collect()))
+            };
+            let whole = rows.clone().map(|row| (row, vec![row.min, row.max]));
+            add(draws(whole.collect()), if grasps { (100, 4) } else { (100, 20) }, 0.1);
+            for (row, end) in rows.flat_map(|row| [(row, row.min), (row, row.max)]) {
+                add(draws(vec![(row, vec![end; 2])]), if grasps { (20, 2) } else { (20, 5) }, 0.1);
+            }
         }
         for option in &spec.options {
             let Allowed::OneOf(words) = &option.allowed else { continue };

@@ -12,7 +12,7 @@ use trocar_server::sim::instrument::{Instrument, JAW_CLOSED, JAW_OPEN, Posture, 
 use trocar_server::sim::random::Rng;
 use trocar_server::sim::travel::travel;
 use trocar_server::sim::world::World;
-use trocar_server::tasks::options::Preset;
+use trocar_server::tasks::options::{Domain, Preset};
 use trocar_server::tasks::psm_scene::WORKSPACE;
 use trocar_server::tasks::tray::{self, Needle};
 
@@ -96,7 +96,7 @@ fn run(trial: Trial, seed: u64) -> Outcome {
     let turned = rng.uniform(-FRAC_PI_2, FRAC_PI_2);
     let (thing, body_from_place) = match trial.thing {
         Thing::Needle => {
-            let needle = Needle::insert(&mut world, trial.preset);
+            let needle = Needle::insert(&mut world, trial.preset, Domain::default());
             needle.lay(&mut world, x, y, turned);
             (needle.body(), Model::needle().body_from("mid_arc"))
         }

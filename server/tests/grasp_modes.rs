@@ -13,7 +13,7 @@ use trocar_server::sim::grasp::{Grasp, GraspMode};
 use trocar_server::sim::instrument::{Instrument, JAW_CLOSED, JAW_OPEN, Posture, TIP_OFFSET};
 use trocar_server::sim::random::Rng;
 use trocar_server::sim::travel::travel;
-use trocar_server::tasks::options::Preset;
+use trocar_server::tasks::options::{Domain, Preset};
 use trocar_server::tasks::tray::{self, Needle};
 
 /// Substeps of 0.2 s.
@@ -52,7 +52,7 @@ const AXES: [&str; 3] = ["approach (up)", "closing", "wire"];
 fn lifts(mode: GraspMode, off: [f64; 3], seed: u64) -> bool {
     let mut rng = Rng::new(seed, 0);
     let mut world = tray::furnished_world(Preset::Paper);
-    let needle = Needle::insert(&mut world, Preset::Paper);
+    let needle = Needle::insert(&mut world, Preset::Paper, Domain::default());
     let centre = tray::pad().centre();
     needle.lay(&mut world, centre.x, centre.y, rng.uniform(-FRAC_PI_2, FRAC_PI_2));
     let mut grasp = Grasp::new(&mut world, mode, needle.body());

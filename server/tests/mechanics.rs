@@ -12,7 +12,8 @@ use trocar_server::sim::travel::travel;
 use trocar_server::sim::world::{
     BodyId, GRAVITY, Motion, Part, SUBSTEPS_PER_SECOND, Shape, Solver, World,
 };
-use trocar_server::tasks::options::Preset;
+use trocar_server::tasks::objects::Object;
+use trocar_server::tasks::options::{Domain, Preset, Variation};
 use trocar_server::tasks::tray::{self, Needle};
 
 /// A flat slab of acetal: half extents, m, and mass, kg.
@@ -155,7 +156,7 @@ fn a_gripped_slab_slips_where_its_weight_exceeds_twice_friction_times_the_grip()
 fn what_rests_overlaps_by_less_than_a_tenth_of_a_millimetre_and_sleeps() {
     for (preset, heavy) in [(Preset::Paper, false), (Preset::Surrol, true)] {
         let mut world = tray::furnished_world(preset);
-        let needle = Needle::insert(&mut world, preset);
+        let needle = Needle::insert(&mut world, preset, Domain::default());
         let centre = tray::pad().centre();
         needle.lay(&mut world, centre.x, centre.y, 0.4);
         let on_pad = Pose::translation(centre.x, centre.y + 0.04, tray::pad().max.z + SLAB.z);
@@ -173,6 +174,34 @@ fn what_rests_overlaps_by_less_than_a_tenth_of_a_millimetre_and_sleeps() {
         for (body, laid) in [needle.body(), slab].into_iter().zip(laid) {
             let moved = world.pose(body).translation.vector - laid.translation.vector;
             assert!(moved.norm() < 0.05e-3, "{moved}");
+        }
+    }
+}
+
+#[test]
+fn an_object_of_another_size_and_mass_has_the_inertia_of_one_and_rests_like_one() {
+    for preset in [Preset::Paper, Preset::Surrol] {
+        let mut world = tray::furnished_world(preset);
+        let mut needle = Object::insert(&mut world, Model::needle(), 0.001, &Pose::identity());
+        let nominal = world.inertia(needle.body());
+        for (mass, size) in [(2.0, 1.0), (1.0, 0.8), (0.5, 1.2), (1.0, 1.0)] {
+            needle.vary(&mut world, Variation { mass, size });
+            let found = world.inertia(needle.body());
+            let factor = mass * f64::powi(size, 3);
+            assert!((found.mass / nominal.mass / factor - 1.0).abs() < 1e-5, "{found:?}");
+            assert!((found.centre - nominal.centre * size).norm() < 1e-7, "{found:?}");
+            let moments = nominal.moments * (mass * f64::powi(size, 5));
+            assert!((found.moments - moments).norm() < 1e-4 * moments.norm(), "{found:?}");
+
+            let (centre, form) = (tray::pad().centre(), needle.form());
+            let z = tray::pad().max.z - form.aabb(&Pose::identity()).min.z;
+            let laid = frames::pose([centre.x, centre.y, z], [0.0, 0.0, 0.4]);
+            world.place(needle.body(), &laid);
+            world.wake(needle.body());
+            run(&mut world, 2.0);
+            assert!(world.at_rest() && world.deepest_overlap() < 0.1e-3);
+            let moved = world.pose(needle.body()).translation.vector - laid.translation.vector;
+            assert!(moved.norm() < 0.05e-3, "{preset:?} {mass} {size}: {moved}");
         }
     }
 }

@@ -5,12 +5,15 @@
 use std::collections::BTreeMap;
 
 use trocar_proto::snapshot::Recipe;
-use trocar_proto::spec::{Element, OptionValue};
+use trocar_proto::spec::{Allowed, Element, OptionValue};
 use trocar_proto::{Code, Options, TaskSpec};
 use trocar_server::env::{Env, Step};
 use trocar_server::error::StepError;
 use trocar_server::sim::random::Rng;
 use trocar_server::tasks::Registry;
+
+#[path = "suite/domain.rs"]
+mod domain;
 
 /// What an environment shows after a reset or step.
 #[derive(Debug, Clone)]
@@ -72,7 +75,7 @@ fn variants() -> Vec<(String, Options)> {
     for id in registry.ids() {
         variants.push((id.to_string(), Options::new()));
         for option in registry.spec(id, &Options::new()).unwrap().options {
-            if let trocar_proto::spec::Allowed::OneOf(words) = option.allowed {
+            if let Allowed::OneOf(words) = option.allowed {
                 for word in &words[1..] {
                     variants.push((id.to_string(), Options::new().with_text(&option.name, word)));
                 }
@@ -349,14 +352,15 @@ fn numbers_outside_the_range_act_as_the_nearest_inside() {
 
 #[test]
 fn a_snapshot_goes_on_bit_by_bit_like_the_original_as_clone_and_as_bytes() {
-    let domain = table(&[
-        ("observation_noise", &[0.001, 0.002]),
-        ("joint_offset", &[-0.01, 0.01]),
-        ("latency", &[1.0, 3.0]),
-    ]);
-    let randomised = |id: &str| (id.to_string(), Options::new().with("domain", domain.clone()));
     let mut variants = variants();
-    variants.extend(Registry::builtin().ids().map(randomised));
+    variants.extend(Registry::builtin().ids().map(domain::everything));
+    let prepared = |id: &&str| {
+        Registry::builtin().make(id, &Options::new().with_text("start", "lift")).is_ok()
+    };
+    variants.extend(Registry::builtin().ids().filter(prepared).map(|id| {
+        let (id, options) = domain::everything(id);
+        (id, options.with_text("start", "lift"))
+    }));
     for variant in variants {
         let fresh = make(&variant);
         for seed in 0..if soak() { 40 } else { 3 } {
@@ -396,8 +400,10 @@ fn a_snapshot_goes_on_bit_by_bit_like_the_original_as_clone_and_as_bytes() {
 #[test]
 fn a_held_object_is_held_in_its_snapshots() {
     // The expert's last state: with the object in the jaws, where there is one.
-    for id in Registry::builtin().ids() {
-        let fresh = Registry::builtin().make(id, &Options::new()).unwrap();
+    let registry = Registry::builtin();
+    let plain = registry.ids().map(|id| (id.to_string(), Options::new()));
+    for variant in plain.chain(registry.ids().map(domain::ends_of_objects)) {
+        let fresh = make(&variant);
         let mut env = fresh.clone();
         env.reset(Some(3));
         while env.steps() + 8 < env.spec().max_steps {
@@ -409,7 +415,7 @@ fn a_held_object_is_held_in_its_snapshots() {
             let step = env.step(&action).unwrap();
             for copy in &mut copies {
                 assert_eq!(copy.step(&action).unwrap(), step);
-                assert_eq!(Seen::of(copy).bits(), Seen::of(&env).bits(), "{id}");
+                assert_eq!(Seen::of(copy).bits(), Seen::of(&env).bits(), "{variant:?}");
             }
         }
     }
@@ -521,43 +527,6 @@ fn nothing_explodes_under_adversarial_actions() {
                 before = now;
             }
         }
-    }
-}
-
-#[test]
-fn randomised_domains_are_drawn_by_episode() {
-    let domain = table(&[
-        ("observation_noise", &[0.001, 0.002]),
-        ("joint_offset", &[-0.01, 0.01]),
-        ("latency", &[1.0, 3.0]),
-    ]);
-    for id in Registry::builtin().ids() {
-        let options = Options::new().with("domain", domain.clone());
-        let mut env = Registry::builtin().make(id, &options).unwrap();
-        let mut plain = Registry::builtin().make(id, &Options::new()).unwrap();
-        let mut offsets = vec![];
-        for seed in 0..5 {
-            env.reset(Some(seed));
-            plain.reset(Some(seed));
-            let (noisy, exact) = (Seen::of(&env), Seen::of(&plain));
-            assert_eq!(noisy.desired, exact.desired, "the episode itself is the same");
-            assert_ne!(noisy.observation, exact.observation);
-            assert!((noisy.observation[0] - exact.observation[0]).abs() < 0.01);
-            offsets.push(noisy.observation[0].to_bits());
-            if !id.contains("Reach") {
-                continue; // what is achieved is not the arm's
-            }
-            assert_ne!(noisy.achieved, exact.achieved, "encoder errors move the arm");
-            let held = noisy.achieved.clone();
-            env.step(&vec![-1.0; env.spec().action_dim()]).unwrap();
-            assert_eq!(Seen::of(&env).achieved, held, "no command has arrived yet");
-            for _ in 0..3 {
-                env.step(&vec![-1.0; env.spec().action_dim()]).unwrap();
-            }
-            assert_ne!(Seen::of(&env).achieved, held);
-        }
-        offsets.dedup();
-        assert_eq!(offsets.len(), 5);
     }
 }
 

@@ -1,7 +1,8 @@
 //! `trocar bench`: environment steps per second, of wall time and of CPU time.
 //!
 //! The same environments and actions run in this process ([`in_process`]), through a server by a
-//! Rust client ([`client_rs`]) and by a Python client ([`client_py`]). Environments go in step, for
+//! Rust client ([`client_rs`]) and by a Python client ([`client_py`]). What an episode costs depends on
+//! what happens in it, so all begin with the same ones. Environments go in step, for
 //! whole episodes: an expert's steps do not cost the same from beginning to end. Resets are part of
 //! the time and are not counted as steps.
 
@@ -9,7 +10,9 @@ mod client_py;
 mod client_rs;
 mod cpu;
 mod in_process;
+mod pool;
 
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use anyhow::Context;
@@ -25,6 +28,7 @@ use crate::policy::Policy;
 use crate::process::OwnServer;
 use client_py::PythonClient;
 use cpu::Stopwatch;
+use pool::Pool;
 
 /// Least time of one measurement, s; quick ones are shorter.
 const SECONDS: f64 = 2.0;
@@ -59,7 +63,7 @@ pub(crate) struct Bench {
     /// How many environments at a time
     #[arg(long, value_delimiter = ',', default_values_t = [1, 8, 64], value_parser = clap::value_parser!(u32).range(1..=65_536))]
     envs: Vec<u32>,
-    /// How many Rust clients at a time, each with so many environments
+    /// How many Rust clients at a time, each with so many environments; in-process, one has them all
     #[arg(long, value_delimiter = ',', default_values_t = [1], value_parser = clap::value_parser!(u32).range(1..=256))]
     clients: Vec<u32>,
     /// Who acts
@@ -110,21 +114,23 @@ struct Job {
     clients: u32,
     threads: u32,
     max_steps: u32,
+    /// What is done; `None` where the expert acts.
+    pool: Option<Arc<Pool>>,
     /// Least time.
     time: Duration,
 }
 
 impl Job {
-    /// Runs `step`, which steps every environment, for whole episodes until the time is over, and
-    /// gives how often it was run.
-    fn rounds<E>(&self, mut step: impl FnMut() -> Result<(), E>) -> Result<u64, E> {
+    /// Runs `step`, which steps every environment by the actions of a round, for whole episodes until
+    /// the time is over, and gives how often it was run.
+    fn rounds<E>(&self, mut step: impl FnMut(usize) -> Result<(), E>) -> Result<u64, E> {
         let start = Instant::now();
         let mut rounds = 0;
         loop {
             for _ in 0..self.max_steps {
-                step()?;
+                step(rounds as usize)?;
+                rounds += 1;
             }
-            rounds += u64::from(self.max_steps);
             if start.elapsed() >= self.time {
                 return Ok(rounds);
             }
@@ -132,10 +138,12 @@ impl Job {
     }
 
     /// Runs `step` for a part of the time.
-    fn warm_up<E>(&self, mut step: impl FnMut() -> Result<(), E>) -> Result<(), E> {
+    fn warm_up<E>(&self, mut step: impl FnMut(usize) -> Result<(), E>) -> Result<(), E> {
         let start = Instant::now();
+        let mut round = 0;
         while start.elapsed() < self.time.mul_f64(WARM_UP) {
-            step()?;
+            step(round)?;
+            round += 1;
         }
         Ok(())
     }
@@ -219,7 +227,7 @@ impl Bench {
                     mode: *mode,
                     policy: job.policy,
                     envs: job.envs,
-                    clients: if *mode == Mode::InProcess { 1 } else { job.clients },
+                    clients: job.clients,
                     threads: job.threads,
                     steps_per_second: rate,
                     steps_per_cpu_second: measured.steps as f64 / measured.cpu_seconds,
@@ -258,7 +266,7 @@ impl Bench {
         let time = Duration::from_secs_f64(if self.quick { QUICK_SECONDS } else { SECONDS });
         let mut jobs = vec![];
         for (task, options) in options::for_tasks(&self.options, &specs)? {
-            let max_steps = registry.spec(&task, &options)?.max_steps;
+            let spec = registry.spec(&task, &options)?;
             let numbers = || {
                 self.envs
                     .iter()
@@ -276,7 +284,9 @@ impl Bench {
                     envs,
                     clients,
                     threads: self.threads,
-                    max_steps,
+                    max_steps: spec.max_steps,
+                    pool: (!policy.asks_expert())
+                        .then(|| Arc::new(Pool::new(envs, spec.action_dim()))),
                     time,
                 });
             }

@@ -1,18 +1,27 @@
 //! Turns: which session's environments run on which threads.
 //!
-//! A session asks for a turn, runs a slice of its environments for about a millisecond, and asks
+//! A session asks for a turn, runs its environments bite by bite for about a millisecond, and asks
 //! again. The next turn is for whoever has had the threads for the least time, and idle time saves
 //! nothing up (start-time fair queueing, Goyal et al. 1996). So sessions share the threads evenly
 //! whatever their size, and one that needs less than its share hardly waits. A session that finds idle
-//! threads uses them too. None of this changes any result.
+//! threads uses them too.
+//!
+//! A turn can last much longer: one environment's step may take milliseconds, and the kernel may give
+//! the processor to others meanwhile. Whoever is next and needs little does not wait for its end but
+//! goes ahead, on one thread more, one at a time. None of this changes any result.
 
 use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread::Thread;
 use std::time::{Duration, Instant};
 
-/// How long a session may keep a thread while others wait.
+use rustix::time::{ClockId, clock_gettime};
+
+/// How long a session may keep a thread while others wait, and one bite more.
 const TURN: Duration = Duration::from_millis(1);
+
+/// Work that is taken up at once.
+const BITE: Duration = Duration::from_micros(200);
 
 /// Work that is worth another thread: waking one up costs about half of it.
 const WORTH: Duration = Duration::from_micros(50);
@@ -33,7 +42,7 @@ pub(crate) trait Divisible: Send + Sized {
 pub(crate) struct Scheduler {
     threads: Arc<Threads>,
     share: Arc<Share>,
-    /// Time for which threads were taken, on the clock of [`Turns`], ns.
+    /// CPU time, on the clock of [`Turns`], ns.
     spent: Arc<AtomicU64>,
 }
 
@@ -48,10 +57,29 @@ struct Threads {
 #[derive(Debug)]
 struct Turns {
     free: usize,
+    /// Somebody has gone ahead.
+    ahead: bool,
     /// In order of arrival.
     waiting: Vec<Waiting>,
     /// What the one who had the latest turn had spent before it, ns.
     clock: u64,
+}
+
+impl Turns {
+    /// Whose turn is next: who had the threads for the least time, of those who may have one more.
+    fn next(&self) -> Option<usize> {
+        let waiting = self.waiting.iter().enumerate();
+        let may_run = waiting.filter(|(_, each)| each.share.left() > 0);
+        may_run.min_by_key(|(_, each)| each.spent).map(|(next, _)| next)
+    }
+
+    /// Lets one of those who wait have a thread.
+    fn call(&mut self, next: usize) -> Arc<Waiter> {
+        let Waiting { waiter, share, spent } = self.waiting.remove(next);
+        self.clock = self.clock.max(spent);
+        share.taken.fetch_add(1, Ordering::Relaxed);
+        waiter
+    }
 }
 
 /// How many threads somebody may have, and has. Read and written under the lock of [`Turns`].
@@ -98,7 +126,7 @@ impl Scheduler {
             .num_threads(threads)
             .thread_name(|index| format!("trocar-step-{index}"))
             .build()?;
-        let turns = Mutex::new(Turns { free: threads, waiting: vec![], clock: 0 });
+        let turns = Mutex::new(Turns { free: threads, ahead: false, waiting: vec![], clock: 0 });
         let threads = Threads { pool, turns, busy: AtomicU64::new(0) };
         let (threads, share) = (Arc::new(threads), Share::new(usize::MAX));
         Ok(Self { threads, share, spent: Arc::default() })
@@ -122,27 +150,27 @@ impl Scheduler {
     /// Does `work`, turn by turn. `cost` is the time one piece is expected to take; it is updated
     /// by what was measured.
     pub(crate) fn run<W: Divisible>(&self, work: W, cost: &mut Duration) {
-        let mut rest = work;
-        while rest.len() > 0 {
-            let expected = cost.as_nanos().max(1) * rest.len() as u128;
-            let most = (expected / WORTH.as_nanos()).clamp(1, rest.len() as u128) as usize;
-            let turn = self.acquire(most);
-            let threads = turn.threads;
-            let slice = (TURN.as_nanos() / cost.as_nanos().max(1)).max(1) as usize;
-            let count = slice.saturating_mul(threads).min(rest.len());
-            let (now, later) = rest.split_at(count);
-            rest = later;
-            let start = Instant::now();
-            if threads == 1 {
-                now.run();
-            } else {
-                self.threads.pool.install(|| run_on(now, threads));
+        let mut rest = Some(work);
+        while let Some(work) = rest.take().filter(|work| work.len() > 0) {
+            let (count, each) = (work.len(), cost.as_nanos().max(1));
+            let most = (each * count as u128 / WORTH.as_nanos()).clamp(1, count as u128) as usize;
+            let little = each * count as u128 <= BITE.as_nanos();
+            let turn = self.acquire(most, little);
+            let mut bite = (BITE.as_nanos() / each).max(1) as usize;
+            if turn.threads > 1 {
+                // So that all of them end at about the same time.
+                bite = bite.min(count.div_ceil(2 * turn.threads));
             }
-            let taken = start.elapsed() * threads as u32;
-            self.threads.busy.fetch_add(taken.as_nanos() as u64, Ordering::Relaxed);
-            self.spent.fetch_add(taken.as_nanos() as u64, Ordering::Relaxed);
-            let measured = taken / count as u32;
-            *cost = (*cost + measured) / 2;
+            let pile = Pile::new(work, bite);
+            if turn.threads == 1 {
+                pile.work_off(turn);
+            } else {
+                self.threads.pool.install(|| pile.share_out(turn));
+            }
+            let (left, computed) = pile.end();
+            let done = count - left.as_ref().map_or(0, W::len);
+            *cost = (*cost + computed / done as u32) / 2;
+            rest = left;
         }
     }
 
@@ -151,44 +179,60 @@ impl Scheduler {
         self.lock().free == 0
     }
 
-    /// Waits for a thread, then takes up to `most` that are idle.
-    fn acquire(&self, most: usize) -> Turn<'_> {
+    /// Waits for a thread, then takes up to `most` that are idle. Who needs `little` may go ahead.
+    fn acquire(&self, most: usize, little: bool) -> Turn<'_> {
         let mut turns = self.lock();
         let spent = self.spent.fetch_max(turns.clock, Ordering::Relaxed).max(turns.clock);
         // Whoever waits while threads are free has taken all of its share.
         let threads = turns.free.min(most).min(self.share.left());
-        if threads == 0 {
-            WAITER.with(|waiter| {
-                waiter.called.store(false, Ordering::Relaxed);
-                let (waiter, share) = (Arc::clone(waiter), Arc::clone(&self.share));
-                turns.waiting.push(Waiting { waiter, share, spent });
-                drop(turns);
-            });
-            WAITER.with(|waiter| {
-                while !waiter.called.load(Ordering::Acquire) {
+        if threads > 0 {
+            turns.free -= threads;
+            turns.clock = spent;
+            self.share.taken.fetch_add(threads, Ordering::Relaxed);
+            return Turn { scheduler: self, threads, ahead: false };
+        }
+        WAITER.with(|waiter| {
+            waiter.called.store(false, Ordering::Relaxed);
+            let share = Arc::clone(&self.share);
+            turns.waiting.push(Waiting { waiter: Arc::clone(waiter), share, spent });
+            drop(turns);
+            let mut ahead = false;
+            while !ahead && !waiter.called.load(Ordering::Acquire) {
+                if little {
+                    std::thread::park_timeout(TURN);
+                    ahead = self.go_ahead(waiter);
+                } else {
                     std::thread::park();
                 }
-            });
-            return Turn { scheduler: self, threads: 1 };
-        }
-        turns.free -= threads;
-        turns.clock = spent;
-        self.share.taken.fetch_add(threads, Ordering::Relaxed);
-        Turn { scheduler: self, threads }
+            }
+            Turn { scheduler: self, threads: 1, ahead }
+        })
     }
 
-    fn release(&self, count: usize) {
+    /// Takes a thread more than there are, where this one is next and nobody else has done so.
+    fn go_ahead(&self, waiter: &Arc<Waiter>) -> bool {
         let mut turns = self.lock();
-        turns.free += count;
-        self.share.taken.fetch_sub(count, Ordering::Relaxed);
+        let Some(next) = turns.next() else { return false };
+        if turns.ahead || !Arc::ptr_eq(&turns.waiting[next].waiter, waiter) {
+            return false;
+        }
+        turns.call(next);
+        turns.ahead = true;
+        true
+    }
+
+    fn release(&self, turn: &Turn<'_>) {
+        let mut turns = self.lock();
+        self.share.taken.fetch_sub(turn.threads, Ordering::Relaxed);
+        if turn.ahead {
+            turns.ahead = false;
+        } else {
+            turns.free += turn.threads;
+        }
         while turns.free > 0 {
-            let waiting = turns.waiting.iter().enumerate();
-            let may_run = waiting.filter(|(_, each)| each.share.left() > 0);
-            let Some((next, _)) = may_run.min_by_key(|(_, each)| each.spent) else { break };
-            let Waiting { waiter, share, spent } = turns.waiting.remove(next);
+            let Some(next) = turns.next() else { break };
             turns.free -= 1;
-            turns.clock = turns.clock.max(spent);
-            share.taken.fetch_add(1, Ordering::Relaxed);
+            let waiter = turns.call(next);
             waiter.called.store(true, Ordering::Release);
             waiter.thread.unpark();
         }
@@ -200,27 +244,98 @@ impl Scheduler {
     }
 }
 
+/// CPU time of this thread since some moment.
+fn cpu_time() -> Duration {
+    let time = clock_gettime(ClockId::ThreadCPUTime);
+    Duration::new(time.tv_sec.cast_unsigned(), time.tv_nsec as u32)
+}
+
 /// Threads that are taken. They are given back when this is dropped, also by a panic.
 struct Turn<'a> {
     scheduler: &'a Scheduler,
     threads: usize,
+    /// It is one more than there are.
+    ahead: bool,
+}
+
+impl Turn<'_> {
+    /// Half of the threads, where there are several.
+    fn split_off(&mut self) -> Option<Self> {
+        let half = self.threads / 2;
+        self.threads -= half;
+        (half > 0).then_some(Self { threads: half, ..*self })
+    }
 }
 
 impl Drop for Turn<'_> {
     fn drop(&mut self) {
-        self.scheduler.release(self.threads);
+        self.scheduler.release(self);
     }
 }
 
-/// Runs `work` on about `threads` threads of the current pool.
-fn run_on<W: Divisible>(work: W, threads: usize) {
-    let count = work.len();
-    if threads <= 1 || count <= 1 {
-        return work.run();
+/// Work from which the threads of one turn take bite by bite until it is done, or the turn is over.
+/// What a piece takes varies a lot, so only the clock tells when that is.
+struct Pile<W> {
+    rest: Mutex<Option<W>>,
+    /// How many pieces are taken at once.
+    bite: usize,
+    over: Instant,
+    /// A turn gets at least one bite done.
+    begun: AtomicBool,
+    /// CPU time of all threads together, ns.
+    computed: AtomicU64,
+}
+
+impl<W: Divisible> Pile<W> {
+    fn new(work: W, bite: usize) -> Self {
+        let (rest, over) = (Mutex::new(Some(work)), Instant::now() + TURN);
+        Self { rest, bite, over, begun: AtomicBool::new(false), computed: AtomicU64::new(0) }
     }
-    let left = threads / 2;
-    let (first, second) = work.split_at(count * left / threads);
-    rayon::join(|| run_on(first, left), || run_on(second, threads - left));
+
+    /// Works on all threads of the turn, which the current pool has. Each is given back by itself:
+    /// others need not wait for the last one.
+    fn share_out(&self, mut turn: Turn<'_>) {
+        match turn.split_off() {
+            Some(half) => {
+                rayon::join(|| self.share_out(turn), || self.share_out(half));
+            }
+            None => self.work_off(turn),
+        }
+    }
+
+    /// Works on this thread, which is the only one of the turn.
+    fn work_off(&self, turn: Turn<'_>) {
+        let (start, computed) = (Instant::now(), cpu_time());
+        while let Some(work) = self.take() {
+            work.run();
+        }
+        // Nobody is charged for the time in which the kernel lets others have the processor.
+        let computed = cpu_time().saturating_sub(computed).as_nanos() as u64;
+        self.computed.fetch_add(computed, Ordering::Relaxed);
+        turn.scheduler.spent.fetch_add(computed, Ordering::Relaxed);
+        let taken = start.elapsed().as_nanos() as u64;
+        turn.scheduler.threads.busy.fetch_add(taken, Ordering::Relaxed);
+        drop(turn); // others may have the thread
+    }
+
+    /// The next bite, if there is one and still time for it.
+    fn take(&self) -> Option<W> {
+        if self.begun.swap(true, Ordering::Relaxed) && Instant::now() >= self.over {
+            return None;
+        }
+        let mut rest = self.rest.lock().unwrap_or_else(PoisonError::into_inner);
+        let work = rest.take()?;
+        let bite = self.bite.min(work.len());
+        let (now, left) = work.split_at(bite);
+        *rest = Some(left).filter(|left| left.len() > 0);
+        Some(now)
+    }
+
+    /// What was not done, and the CPU time that the rest took.
+    fn end(self) -> (Option<W>, Duration) {
+        let rest = self.rest.into_inner().unwrap_or_else(PoisonError::into_inner);
+        (rest, Duration::from_nanos(self.computed.into_inner()))
+    }
 }
 
 #[cfg(test)]
@@ -293,7 +408,7 @@ mod tests {
         });
         let running = scheduler.separate();
         running.spent.store(10, Ordering::Relaxed);
-        let turn = running.acquire(1);
+        let turn = running.acquire(1, false);
         let order = Mutex::new(vec![]);
         std::thread::scope(|scope| {
             for (count, (user, name)) in
@@ -301,7 +416,7 @@ mod tests {
             {
                 let order = &order;
                 scope.spawn(move || {
-                    let turn = user.acquire(1);
+                    let turn = user.acquire(1, false);
                     order.lock().unwrap().push(name);
                     drop(turn);
                 });
@@ -314,6 +429,42 @@ mod tests {
         assert_eq!(*order.lock().unwrap(), ["idle", "light", "heavy"]);
         assert_eq!(idle.spent.load(Ordering::Relaxed), 10);
         assert_eq!(scheduler.lock().clock, 30);
+    }
+
+    #[test]
+    fn who_needs_little_does_not_wait_for_the_end_of_a_long_turn() {
+        let scheduler = Scheduler::new(1).unwrap();
+        let [long, small, large] = [(); 3].map(|()| scheduler.separate());
+        large.spent.store(10, Ordering::Relaxed);
+        let quota = scheduler.limited(1);
+        let turn = long.acquire(1, false);
+        let state = || {
+            let turns = scheduler.lock();
+            (turns.free, turns.ahead, turns.waiting.len())
+        };
+        assert_eq!(state(), (0, false, 0));
+        let one = small.acquire(1, true);
+        assert_eq!((one.ahead, state()), (true, (0, true, 0)));
+        drop(one);
+        assert_eq!(state(), (0, false, 0));
+        // Nor does it help to have many: one goes ahead at a time, and nobody beyond its share.
+        let (one, other) = (quota.acquire(1, true), quota.separate());
+        std::thread::scope(|scope| {
+            let later = scope.spawn(|| drop(other.acquire(1, true)));
+            let large = scope.spawn(|| large.acquire(1, false).ahead);
+            while state().2 < 2 {
+                std::thread::yield_now();
+            }
+            std::thread::sleep(4 * TURN);
+            assert_eq!(state(), (0, true, 2));
+            drop(one);
+            later.join().unwrap();
+            assert_eq!(state(), (0, false, 1));
+            drop(turn);
+            assert!(!large.join().unwrap());
+        });
+        assert_eq!(state(), (1, false, 0));
+        assert_eq!((quota.share.left(), scheduler.share.left()), (1, usize::MAX));
     }
 
     #[test]
@@ -342,14 +493,14 @@ mod tests {
         });
         assert!(cells.iter().chain(&others).flatten().all(|cell| *cell == 1));
         assert_eq!(most.into_inner(), 1);
-        assert!(most_free.into_inner() <= 3);
+        assert!(most_free.into_inner() <= 4);
         assert_eq!(scheduler.lock().free, 3);
         assert_eq!((small.share.left(), scheduler.share.left()), (1, usize::MAX));
         assert!(scheduler.busy() > Duration::ZERO);
     }
 
     #[test]
-    fn every_piece_is_done_once_and_never_on_more_threads_than_allowed() {
+    fn every_piece_is_done_once_and_on_at_most_one_thread_more_than_there_are() {
         for threads in [1, 2, 3] {
             let scheduler = Scheduler::new(threads).unwrap();
             let (running, most) = (AtomicUsize::new(0), AtomicUsize::new(0));
@@ -366,7 +517,7 @@ mod tests {
                 }
             });
             assert!(cells.iter().flatten().all(|cell| *cell == 20));
-            assert!(most.into_inner() <= threads);
+            assert!(most.into_inner() <= threads + 1);
             assert_eq!(scheduler.lock().free, threads);
         }
     }

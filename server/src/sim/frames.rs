@@ -20,6 +20,11 @@ pub type Pose = Isometry3<f64>;
 /// through wires. 30 to 1000 behave alike.
 pub(super) const SCALE: f64 = 100.0;
 
+/// A pose in a body that is `size` times as large.
+pub fn scaled(pose: &Pose, size: f64) -> Pose {
+    Pose::from_parts((pose.translation.vector * size).into(), pose.rotation)
+}
+
 /// The pose at `position` (m) with the orientation of extrinsic XYZ Euler angles (rad), that is
 /// Rz(yaw)·Ry(pitch)·Rx(roll).
 pub fn pose(position: [f64; 3], roll_pitch_yaw: [f64; 3]) -> Pose {

@@ -188,6 +188,15 @@ impl Instrument {
         }
     }
 
+    /// Where its fingers are, those of [`Posture`]'s −y and +y sides: hinges at the origins, lengths along z.
+    pub fn world_from_fingers(&self, world: &World) -> [Pose; 2] {
+        if self.stale {
+            SIDES.map(|side| self.posture.world_from_finger(side))
+        } else {
+            self.finger_bodies().map(|finger| world.pose(finger))
+        }
+    }
+
     /// Whether `object` is in its jaws: both fingers press on it, or it is tied to the wrist.
     pub fn holds(&self, world: &World, object: BodyId) -> bool {
         self.is_tied_to(object) || self.fingers_touching(world, object) == 2

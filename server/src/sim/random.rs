@@ -6,6 +6,9 @@
 use rand::{RngCore, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
+/// Marks the streams of [`Rng::aside`]; the others have numbers below it.
+const ASIDE: u64 = 1 << 8;
+
 /// Random numbers of one episode.
 #[derive(Debug, Clone)]
 pub struct Rng(ChaCha8Rng);
@@ -31,6 +34,15 @@ impl Rng {
     pub fn start(index: u64) -> Self {
         let mut rng = Self::new(index, 0);
         rng.0.set_stream(2);
+        rng
+    }
+
+    /// A generator for a few numbers that an episode draws besides, independent of this one, which goes on as
+    /// if it had never been asked: randomising what they are for leaves the rest of the episode as it was.
+    #[must_use]
+    pub fn aside(&self) -> Self {
+        let mut rng = self.clone();
+        rng.0.set_stream(rng.0.get_stream() | ASIDE);
         rng
     }
 
@@ -77,6 +89,19 @@ mod tests {
         let first = |seed, episode| Rng::new(seed, episode).unit();
         assert_eq!(first(1, 0).to_bits(), first(1, 0).to_bits());
         assert!(first(1, 0) != first(1, 1) && first(1, 0) != first(0, 1));
+    }
+
+    #[test]
+    fn what_is_drawn_aside_is_something_else_and_leaves_the_episode_alone() {
+        let ten = |rng: &mut Rng| [(); 10].map(|()| rng.unit());
+        for rng in [Rng::new(7, 3), Rng::sensor(7, 3), Rng::start(7)] {
+            let (mut alone, mut asked) = (rng.clone(), rng.clone());
+            let aside = ten(&mut asked.aside());
+            assert_eq!(aside, ten(&mut asked.aside()));
+            assert_eq!(ten(&mut asked), ten(&mut alone));
+            assert!(aside != ten(&mut rng.clone()) && aside != ten(&mut asked.aside()));
+        }
+        assert!(Rng::new(7, 3).aside().unit() != Rng::start(7).aside().unit());
     }
 
     #[test]

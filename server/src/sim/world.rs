@@ -8,9 +8,9 @@ use std::f64::consts::PI;
 use nalgebra::{Point3, Vector3};
 use rapier3d::dynamics::SpringCoefficients;
 use rapier3d::prelude::{
-    BroadPhaseBvh, CCDSolver, ColliderBuilder, ColliderSet, FrictionModel, ImpulseJointSet,
-    IntegrationParameters, IslandManager, MultibodyJointSet, NarrowPhase, PhysicsPipeline,
-    RigidBodyBuilder, RigidBodyHandle, RigidBodySet, SoftBodySet,
+    BroadPhaseBvh, CCDSolver, ColliderBuilder, ColliderHandle, ColliderSet, FrictionModel,
+    ImpulseJointSet, IntegrationParameters, IslandManager, MultibodyJointSet, NarrowPhase,
+    PhysicsPipeline, RigidBodyBuilder, RigidBodyHandle, RigidBodySet, RigidBodyType, SoftBodySet,
 };
 
 use super::frames::{self, Aabb, Pose, SCALE};
@@ -64,6 +64,17 @@ pub enum Shape {
 }
 
 impl Shape {
+    /// The same form, `size` times as large.
+    #[must_use]
+    pub fn scaled(self, size: f64) -> Self {
+        match self {
+            Self::Cuboid(half) => Self::Cuboid(half * size),
+            Self::Capsule { a, b, radius } => {
+                Self::Capsule { a: a * size, b: b * size, radius: radius * size }
+            }
+        }
+    }
+
     /// Its volume, m³.
     fn volume(&self) -> f64 {
         match self {
@@ -85,6 +96,15 @@ pub struct Part {
 }
 
 impl Part {
+    /// The same part of a body `size` times as large.
+    #[must_use]
+    pub fn scaled(&self, size: f64) -> Self {
+        Self {
+            body_from_part: frames::scaled(&self.body_from_part, size),
+            shape: self.shape.scaled(size),
+        }
+    }
+
     /// The box around it when its body is at `world_from_body`, m.
     pub fn aabb(&self, world_from_body: &Pose) -> Aabb {
         let world_from_part = world_from_body * self.body_from_part;
@@ -112,6 +132,19 @@ pub enum Motion {
         /// Mass, kg, shared by the parts by their volume.
         mass: f64,
     },
+}
+
+/// A body as its collision shapes.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Solid {
+    /// Which it is.
+    pub body: BodyId,
+    /// What moves it.
+    pub motion: Motion,
+    /// Where it is.
+    pub world_from_body: Pose,
+    /// Its collision shapes.
+    pub parts: Vec<Part>,
 }
 
 /// A body in the world.
@@ -234,6 +267,16 @@ impl World {
         self.bodies[body.0].set_position(frames::to_engine(world_from_body), false);
     }
 
+    /// Gives a body the forms of `parts` in place of its own, one for one; its mass stays.
+    pub fn reshape(&mut self, body: BodyId, parts: impl IntoIterator<Item = Part>) {
+        for (handle, part) in self.bodies[body.0].colliders().iter().zip(parts) {
+            let shape = collider(&part.shape).shape;
+            let collider = &mut self.colliders[*handle];
+            collider.set_shape(shape);
+            collider.set_position_wrt_parent(frames::to_engine(&part.body_from_part));
+        }
+    }
+
     /// Takes a body out of all that happens, until it is brought back.
     pub fn withdraw(&mut self, body: BodyId) {
         self.bodies[body.0].set_enabled(false);
@@ -353,6 +396,38 @@ impl World {
     /// The free objects, in the order in which they were put into the world.
     pub fn objects(&self) -> impl Iterator<Item = BodyId> {
         self.free.iter().map(|body| BodyId(*body))
+    }
+
+    /// All bodies that take part, as their collision shapes, in the order in which they were put into the
+    /// world.
+    pub fn bodies(&self) -> impl Iterator<Item = Solid> {
+        self.bodies.iter().filter(|(_, body)| body.is_enabled()).map(|(handle, body)| Solid {
+            body: BodyId(handle),
+            motion: match body.body_type() {
+                RigidBodyType::Fixed => Motion::Fixed,
+                RigidBodyType::Dynamic if self.free.contains(&handle) => {
+                    Motion::Free { mass: f64::from(body.mass()) / (SCALE * SCALE * SCALE) }
+                }
+                _ => Motion::Driven,
+            },
+            world_from_body: frames::from_engine(body.position()),
+            parts: body.colliders().iter().filter_map(|part| self.part(*part)).collect(),
+        })
+    }
+
+    /// A collider as it was put into the world.
+    fn part(&self, handle: ColliderHandle) -> Option<Part> {
+        let collider = &self.colliders[handle];
+        let point = |at| Point3::from(frames::from_engine_vector(at));
+        let shape = if let Some(cuboid) = collider.shape().as_cuboid() {
+            Shape::Cuboid(frames::from_engine_vector(cuboid.half_extents))
+        } else {
+            let capsule = collider.shape().as_capsule()?;
+            let (a, b) = (point(capsule.segment.a), point(capsule.segment.b));
+            Shape::Capsule { a, b, radius: f64::from(capsule.radius) / SCALE }
+        };
+        let body_from_part = collider.position_wrt_parent().map(frames::from_engine)?;
+        Some(Part { body_from_part, shape })
     }
 
     /// Greatest speed of the centre of mass of any free object in all substeps so far, m/s.

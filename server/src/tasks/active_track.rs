@@ -63,8 +63,11 @@
 //!   control law takes them (inferred from its expert). Not reproduced: pixels, the original's joint
 //!   limits and roll law (see [`static_track`](super::static_track)), its path, which does not go at
 //!   constant speed and shoves other cubes aside, and its end of an episode.
-//! - `domain`: `observation_noise` (m, on observed positions), `joint_offset` (rad, on every rotary
-//!   joint), `latency` (steps; the arm holds until the first action arrives).
+//! - `domain`: `camera_pose_position` (m, up to 0.005 either way along each axis of the camera)
+//!   and `camera_pose_angle` (rad, up to 0.05 either way about each): where the camera really is,
+//!   seen from where the joint sensors have it, `observation_noise` (m, on observed positions),
+//!   `joint_offset` (rad, on every rotary joint), `latency` (steps; the arm holds until the first
+//!   action arrives).
 //! - `setup`: `base` (x, y, z in m and pitch in rad of the arm's base). The start is the same joints,
 //!   and must have the middle of the targets' region in the picture; the natural line of sight stays
 //!   that of the nominal arm.
@@ -89,10 +92,11 @@ use trocar_proto::{Options, Rejection, TaskSpec};
 
 use super::Task;
 use super::camera::Cube;
-use super::ecm_scene::SECONDS_PER_STEP;
+use super::ecm_scene::{CAMERA_ANGLE, SECONDS_PER_STEP};
 use super::options::{self, Preset};
 use super::path::{self, LAP, Path};
 use super::track::{Layout, Tracker};
+use crate::render::Scene;
 use crate::sim::random::Rng;
 use crate::sim::world::{Solver, World};
 
@@ -144,7 +148,7 @@ impl Task for ActiveTrack {
             options::action(),
             options::observation(),
             options::preset(),
-            options::domain(),
+            options::domain_with(options::camera_rows(CAMERA_ANGLE)),
             options::setup(&Tracker::setup_rows()),
         ]
     }
@@ -196,6 +200,10 @@ impl Task for ActiveTrack {
         self.tracker.observe(observation);
     }
 
+    fn scene(&self, _: &World, scene: &mut Scene) {
+        self.tracker.draw(scene);
+    }
+
     fn expert(&self, _: &World, action: &mut [f32]) {
         self.tracker.expert(action);
     }
@@ -214,6 +222,8 @@ impl Task for ActiveTrack {
 
 #[cfg(test)]
 mod tests {
+    use trocar_proto::OptionValue;
+
     use super::*;
 
     fn episode(options: &Options, seed: u64) -> (ActiveTrack, World) {
@@ -293,21 +303,36 @@ mod tests {
     #[test]
     fn the_expert_never_loses_the_target() {
         let soak = std::env::var_os("TROCAR_SOAK").is_some();
-        let episodes = if soak { 500 } else { 10 };
-        for preset in ["paper", "surrol"] {
-            let options = Options::new().with_text("preset", preset);
+        let preset = |word: &str| Options::new().with_text("preset", word);
+        let misplaced = |sign: f64| {
+            let rows = [("camera_pose_position", 0.005), ("camera_pose_angle", CAMERA_ANGLE)];
+            let rows = rows.map(|(row, end)| (row.to_string(), vec![sign * end; 2]));
+            Options::new().with("domain", OptionValue::Table(rows.into()))
+        };
+        let paper = if soak { 500 } else { 10 };
+        let ends = if soak { 20 } else { 2 };
+        let variants = [
+            (preset("paper"), paper),
+            (preset("surrol"), paper),
+            (misplaced(1.0), ends),
+            (misplaced(-1.0), ends),
+        ];
+        for (options, episodes) in variants {
             let (mut returned, mut action) = (0.0, [0.0; 3]);
             for seed in 0..episodes {
                 let (mut task, mut world) = episode(&options, seed);
                 for step in 0..MAX_STEPS {
                     task.expert(&world, &mut action);
                     task.apply(&mut world, Some(&action));
-                    assert!(!task.terminated(&world), "{preset} {seed}: lost after {step} steps");
+                    assert!(
+                        !task.terminated(&world),
+                        "{options:?} {seed}: lost after {step} steps"
+                    );
                     returned += f64::from(task.reward(&world));
                 }
             }
             let mean = returned / episodes as f64;
-            assert!(mean > 470.0, "{preset}: {mean}");
+            assert!(mean > 470.0, "{options:?}: {mean}");
         }
     }
 }

@@ -79,9 +79,12 @@
 //!   target.
 //! - `preset = "surrol"`: positions, goals and tolerances in units of 0.2 m (metres × 5), blocks of
 //!   10 g, gripped with 3 N instead of 1 N, `grasp = "weld"` unless given.
-//! - `domain`: `friction` (coefficient of the jaws), `observation_noise` (m, on observed positions),
-//!   `joint_offset` (rad, on every rotary joint), `latency` (steps; the arms hold until the first
-//!   action arrives).
+//! - `domain`: `mass` (0.5 to 5; factor on the mass, besides what the size makes of it: stiffness
+//!   of contacts is per mass, so fingers sink into what is lighter), `size` (0.98 to 1.1; factor
+//!   on all lengths) of all blocks: a block below 0.966 that stands about its peg is more than 4
+//!   mm below its middle, `friction` (coefficient of the jaws), `observation_noise` (m, on
+//!   observed positions), `joint_offset` (rad, on every rotary joint), `latency` (steps; the arms
+//!   hold until the first action arrives).
 //! - `setup`: `base`, `base_2` (x, y, z in m and turn in rad of PSM1's and PSM2's base),
 //!   `table_height` (m). Each arm must reach its whole workspace.
 //!
@@ -117,7 +120,9 @@ use super::peg_board::{Block, Layout, PegBoard};
 use super::peg_expert::{self, Transfer};
 use super::psm_scene::{self, MAX_STEPS, PaperAction, PsmArm, SECONDS_PER_STEP, Station, Turn};
 use super::start::{self, Start};
+use super::theatre;
 use super::tray;
+use crate::render::Scene;
 use crate::sim::frames::{Aabb, Pose};
 use crate::sim::grasp::{Grasp, GraspMode};
 use crate::sim::instrument::{JAW_OPEN, TIP_OFFSET};
@@ -166,13 +171,13 @@ impl Task for BiPegTransfer {
     const ID: &'static str = "BiPegTransfer-v0";
 
     fn options() -> Vec<OptionSpec> {
-        objects::options(2, [start::option()])
+        objects::options(2, Block::SIZE, [start::option()])
     }
 
     fn new(options: &Options) -> Result<(Self, World), Rejection> {
         let preset = options::preset_of(options);
         let mut world = tray::bare_table(preset);
-        let board = PegBoard::insert(&mut world, preset, BLOCKS);
+        let board = PegBoard::insert(&mut world, preset, BLOCKS, options::Domain::of(options)?);
         let layout = Layout { block: board.blocks()[0], target: 0 };
         let mode = options::grasp_of(options);
         let grasp = Grasp::new(&mut world, mode, layout.block.body());
@@ -261,6 +266,12 @@ impl Task for BiPegTransfer {
         objects::write_goal(&PegBoard::peg(target), self.preset, desired);
     }
 
+    fn scene(&self, world: &World, scene: &mut Scene) {
+        theatre::draw(scene);
+        self.board.draw(world, &self.layout, scene);
+        self.arms.iter().for_each(|arm| arm.draw(world, scene));
+    }
+
     fn expert(&self, world: &World, action: &mut [f32]) {
         let [one, two] = &self.arms;
         bimanual::act([one, two], &self.plan(world).1, action);
@@ -297,7 +308,7 @@ impl BiPegTransfer {
     fn plan(&self, world: &World) -> (Stage, [Waypoint; 2]) {
         let [one, two] = &self.arms;
         let Layout { block, target } = self.layout;
-        let up = peg_expert::way_over_pegs(&world.pose(block.body()));
+        let up = peg_expert::way_over_pegs(block, &world.pose(block.body()));
         let is_low = up > 0.5 * peg_expert::PASS;
         let hand_over = self.hand_over(world);
         match hand_over.phase(two, one, world) {
@@ -332,25 +343,25 @@ impl BiPegTransfer {
         let Layout { block, target } = self.layout;
         let pose = world.pose(block.body());
         let (giver, taker) = (two.scene_from_wrist(), one.scene_from_wrist());
-        let held = peg_expert::held_wall(&pose, giver);
-        let aside = |wall: &usize| peg_expert::outwards(&pose, *wall).y;
+        let held = peg_expert::held_wall(block, &pose, giver);
+        let aside = |wall: &usize| peg_expert::outwards(block, &pose, *wall).y;
         let taken = (0..Block::WALLS)
             .filter(|wall| *wall != held)
             .max_by(|a, b| aside(a).total_cmp(&aside(b)))
             .expect("a block has walls");
 
         // Both wrists are as far from the midline as each other.
-        let taking = peg_expert::grasp_in_air(&pose, taken, taker);
+        let taking = peg_expert::grasp_in_air(block, &pose, taken, taker);
         let way = Vector3::new(
             PegBoard::peg(target).x - pose.translation.x,
             -0.5 * (giver.translation.y + taking.translation.y),
-            peg_expert::way_over_pegs(&pose),
+            peg_expert::way_over_pegs(block, &pose),
         );
         let offered = Pose::from(way) * pose;
         HandOver {
             object: block.body(),
             offer: Pose::from(way) * giver,
-            take: peg_expert::grasp_in_air(&offered, taken, taker),
+            take: peg_expert::grasp_in_air(block, &offered, taken, taker),
             together: self.together,
             hover: HOVER,
             by_nearness: self.by_nearness,
@@ -396,8 +407,9 @@ mod tests {
                 let block = world.pose(task.object());
                 let held = task.arms.each_ref().map(|arm| arm.holds(&world, task.object()));
                 by_two |= held == [false, true];
-                handed_over |=
-                    by_two && held == [true, true] && peg_expert::way_over_pegs(&block) < 1e-3;
+                handed_over |= by_two
+                    && held == [true, true]
+                    && peg_expert::way_over_pegs(task.layout.block, &block) < 1e-3;
             }
             let is_on = PegBoard::is_on(&world, task.layout.block, task.layout.target);
             done += u64::from(handed_over && is_on);

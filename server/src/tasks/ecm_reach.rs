@@ -52,8 +52,10 @@
 //!
 //! - `preset = "surrol"`: angles of dVRK's own camera frame, about ±π for a straight arm, as in the
 //!   original.
-//! - `domain`: `observation_noise` (m, on observed positions), `joint_offset` (rad, on every rotary
-//!   joint), `latency` (steps; the arm holds until the first action arrives).
+//! - `domain`: `camera_pose_position` (m, up to 0.005 either way along each axis of the camera: where it
+//!   really is, seen from where the joint sensors have it), `observation_noise` (m, on observed
+//!   positions), `joint_offset` (rad, on every rotary joint), `latency` (steps; the arm holds until the
+//!   first action arrives).
 //! - `setup`: `base` (x, y, z in m and pitch in rad of the arm's base). The arm must reach the
 //!   start and the corners of the goals' box.
 //!
@@ -77,6 +79,7 @@ use trocar_proto::{Options, Rejection, TaskSpec};
 use super::Task;
 use super::ecm_scene::{Control, EcmArm, SECONDS_PER_STEP, STEP_LENGTH};
 use super::options::{self, Preset};
+use crate::render::Scene;
 use crate::sim::frames::Aabb;
 use crate::sim::random::Rng;
 use crate::sim::world::{Solver, World};
@@ -93,6 +96,9 @@ const GOALS: Aabb = Aabb::new([0.45, -0.05, 0.60], [0.55, 0.05, 0.70]);
 /// Distance below which the goal is reached, m. Source: the paper.
 const TOLERANCE: f32 = 0.005;
 
+/// Radius of the ball that marks the goal, m: it is seen from 2 m away.
+const GOAL_RADIUS: f64 = 0.01;
+
 /// The part of a full action with which the expert moves.
 const EXPERT_SPEED: f64 = 0.3;
 
@@ -108,12 +114,14 @@ impl Task for EcmReach {
     const ID: &'static str = "EcmReach-v0";
 
     fn options() -> Vec<OptionSpec> {
+        // Where the camera is does not depend on its direction.
+        let [camera_position, _] = options::camera_rows(0.0);
         vec![
             options::reward(),
             options::action(),
             options::observation(),
             options::preset(),
-            options::domain(),
+            options::domain_with([camera_position]),
             options::setup(&EcmArm::setup_rows()),
         ]
     }
@@ -178,6 +186,11 @@ impl Task for EcmReach {
             achieved[axis] = camera[axis] as f32;
             desired[axis] = self.goal[axis] as f32;
         }
+    }
+
+    fn scene(&self, _: &World, scene: &mut Scene) {
+        self.arm.draw(scene);
+        scene.add_goal(&self.goal, GOAL_RADIUS);
     }
 
     fn expert(&self, _: &World, action: &mut [f32]) {

@@ -43,7 +43,9 @@ use trocar_proto::spec::{Element, RowSpec};
 use trocar_proto::{Options, Rejection};
 
 use super::camera;
-use super::options::{self, ActionMode, Preset, Range};
+use super::options::{self, ActionMode, Domain, Preset};
+use super::theatre;
+use crate::render::{Scene, Viewpoint};
 use crate::robots::Ecm;
 use crate::sim::frames::{self, Aabb, Pose};
 use crate::sim::random::Rng;
@@ -80,6 +82,12 @@ const BASE_FROM_RCM: [f64; 3] = [0.6126, 0.0, 0.1016];
 /// Positions of the camera, m, RCM frame: a box around all that the arm can take.
 const POSITIONS: Aabb = Aabb::new([-0.26, -0.26, -0.26], [0.26, 0.26, 0.26]);
 
+/// Largest error of the camera's direction that episodes may draw, rad.
+pub const CAMERA_ANGLE: f64 = 0.05;
+
+/// Height of the overview's view, rad.
+const OVERVIEW: f64 = 0.72;
+
 /// What `action = "paper"` commands.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Control {
@@ -103,11 +111,13 @@ pub struct EcmArm {
     start: [f64; 4],
     mode: ActionMode,
     preset: Preset,
-    joint_offset: Range,
+    domain: Domain,
     /// What the joint sensors report.
     joints: [f64; 4],
     /// What the joints really are, less what the sensors report.
     offsets: [f64; 4],
+    /// Where the camera really is, seen from where it should be; none where it is there.
+    camera_error: Option<Pose>,
     /// The camera as the joint sensors report it, in the nominal RCM frame.
     rcm_from_camera: Pose,
 }
@@ -140,9 +150,10 @@ impl EcmArm {
             start: [0.0; 4],
             mode: options::action_of(options),
             preset: options::preset_of(options),
-            joint_offset: options::Domain::of(options)?.joint_offset,
+            domain: Domain::of(options)?,
             joints: [0.0; 4],
             offsets: [0.0; 4],
+            camera_error: None,
             rcm_from_camera: Pose::identity(),
         })
     }
@@ -160,11 +171,12 @@ impl EcmArm {
         self.joints_at(position).is_some()
     }
 
-    /// Brings the arm to its start and draws this episode's encoder errors.
+    /// Brings the arm to its start and draws this episode's errors of encoders and camera.
     pub fn reset(&mut self, rng: &mut Rng) {
         for joint in [0, 1, 3] {
-            self.offsets[joint] = self.joint_offset.draw(rng);
+            self.offsets[joint] = self.domain.joint_offset.draw(rng);
         }
+        self.camera_error = self.domain.draw_camera_error(rng);
         self.joints = self.start;
         self.rcm_from_camera = self.sensed(&self.joints);
     }
@@ -177,8 +189,18 @@ impl EcmArm {
     /// Whether the camera looks at the ground in front of the natural line of sight's camera at the
     /// start, so that its misorientation means something there.
     pub fn starts_comparable(&self) -> bool {
-        let camera = self.world_from_rcm * self.kinematics.base_from_camera(&self.start);
-        camera::comparable(&self.world_from_reference, &camera)
+        camera::comparable(&self.world_from_reference, &self.camera_with(&self.start))
+    }
+
+    /// The camera at the start of an episode without errors, world frame.
+    pub fn nominal_start(&self) -> Pose {
+        self.world_from_rcm * self.kinematics.base_from_camera(&self.start)
+    }
+
+    /// Where joints, as they really are, bring the true camera, world frame.
+    fn camera_with(&self, joints: &[f64; 4]) -> Pose {
+        let world_from_camera = self.world_from_rcm * self.kinematics.base_from_camera(joints);
+        self.camera_error.map_or(world_from_camera, |error| world_from_camera * error)
     }
 
     /// The true misorientation, rad.
@@ -201,7 +223,17 @@ impl EcmArm {
     /// The true camera, world frame.
     pub fn world_from_camera(&self) -> Pose {
         let joints = std::array::from_fn(|joint| self.joints[joint] + self.offsets[joint]);
-        self.world_from_rcm * self.kinematics.base_from_camera(&joints)
+        self.camera_with(&joints)
+    }
+
+    /// Draws the arm as it truly is, as `ecm`, over a floor with a pattern of tiles; its camera is the
+    /// endoscope.
+    pub fn draw(&self, scene: &mut Scene) {
+        theatre::draw_tiles(scene);
+        let joints = std::array::from_fn(|joint| self.joints[joint] + self.offsets[joint]);
+        theatre::draw_ecm(scene, &self.world_from_rcm, &joints);
+        scene.stage = Aabb::new([-0.8, -0.7, 0.0], [0.9, 0.7, 0.9]);
+        scene.overview = Viewpoint::towards([1.75, -0.95, 1.45], [0.18, -0.02, 0.55], OVERVIEW);
     }
 
     /// A vector of the world (m) in the axes of the RCM frame.

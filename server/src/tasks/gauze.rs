@@ -2,10 +2,12 @@
 
 use nalgebra::Vector3;
 
-use super::options::Preset;
+use super::objects::Object;
+use super::options::{Domain, Preset};
 use super::psm_scene::WORKSPACE;
 use super::tray;
-use crate::assets::Model;
+use crate::assets::{Model, Scaled};
+use crate::render::Scene;
 use crate::sim::frames::{self, Aabb, Pose};
 use crate::sim::random::Rng;
 use crate::sim::world::{BodyId, World};
@@ -41,39 +43,44 @@ fn scene_from_tray() -> Pose {
 /// A folded swab with a pleat by which it is gripped.
 #[derive(Debug, Clone)]
 pub struct Gauze {
-    body: BodyId,
+    object: Object,
+    domain: Domain,
 }
 
 impl Gauze {
     /// Mass under `preset = "surrol"`, kg. Source: the original.
     const SURROL_MASS: f64 = 0.05;
 
-    /// Puts a gauze into the world.
-    pub fn insert(world: &mut World, preset: Preset) -> Self {
+    /// Its sizes with which the expert does its work: the pleat must fit the jaws.
+    pub const SIZE: [f64; 2] = [0.8, 1.2];
+
+    /// Puts a gauze into the world, whose mass and size episodes draw from `domain`.
+    pub fn insert(world: &mut World, preset: Preset, domain: Domain) -> Self {
         let model = Model::gauze();
         let mass = match preset {
             Preset::Paper => model.mass,
             Preset::Surrol => Self::SURROL_MASS,
         };
         let centre = WORKSPACE.centre();
-        let at = Self::resting(centre.x, centre.y);
-        Self { body: model.insert(world, mass, &at) }
+        let at = resting(&model.scaled(1.0), centre.x, centre.y);
+        Self { object: Object::insert(world, model, mass, &at), domain }
     }
 
     /// The body in the world.
     pub fn body(&self) -> BodyId {
-        self.body
+        self.object.body()
     }
 
     /// Lays the gauze on the floor of the tray, at rest, its pleat along x; `x` and `y` of its middle,
     /// m.
     pub fn lay(&self, world: &mut World, x: f64, y: f64) {
-        world.place(self.body, &Self::resting(x, y));
+        world.place(self.body(), &resting(self.object.form(), x, y));
     }
 
     /// Lays the gauze anywhere that is wholly in the workspace.
-    pub fn lay_anywhere(&self, world: &mut World, rng: &mut Rng) {
-        let half = Self::outline().extents() * 0.5;
+    pub fn lay_anywhere(&mut self, world: &mut World, rng: &mut Rng) {
+        self.vary(world, rng);
+        let half = self.outline().extents() * 0.5;
         let mut along = |axis: usize| {
             rng.uniform(WORKSPACE.min[axis] + half[axis], WORKSPACE.max[axis] - half[axis])
         };
@@ -82,30 +89,46 @@ impl Gauze {
     }
 
     /// Lays the gauze with its middle within 10 mm of the workspace's along x and y.
-    pub fn lay_near_the_middle(&self, world: &mut World, rng: &mut Rng) {
+    pub fn lay_near_the_middle(&mut self, world: &mut World, rng: &mut Rng) {
+        self.vary(world, rng);
         let centre = WORKSPACE.centre();
         let x = centre.x + rng.uniform(-NARROW, NARROW);
         let y = centre.y + rng.uniform(-NARROW, NARROW);
         self.lay(world, x, y);
     }
 
+    /// Draws the gauze and its tray.
+    pub fn draw(&self, world: &World, scene: &mut Scene) {
+        scene.add_model("tray", Model::tray(), &scene_from_tray());
+        self.object.draw(world, "gauze", scene);
+    }
+
     /// The middle of the crest of its pleat in the gauze, m.
-    pub fn crest() -> Vector3<f64> {
-        Vector3::z() * Self::outline().max.z
+    pub fn crest(&self) -> Vector3<f64> {
+        Vector3::z() * self.outline().max.z
     }
 
     /// Height of the sheet beside the pleat in the gauze, m.
-    pub fn sheet() -> f64 {
-        Model::gauze().parts[0].aabb(&Pose::identity()).max.z
+    pub fn sheet(&self) -> f64 {
+        let sheet = self.object.form().parts().next().expect("a gauze has a sheet");
+        sheet.aabb(&Pose::identity()).max.z
     }
 
-    fn outline() -> Aabb {
-        Model::gauze().aabb(&Pose::identity())
+    fn outline(&self) -> Aabb {
+        self.object.form().aabb(&Pose::identity())
     }
 
-    fn resting(x: f64, y: f64) -> Pose {
-        frames::pose([x, y, floor() - Self::outline().min.z], [0.0; 3])
+    /// Draws this episode's mass and size, where they vary.
+    fn vary(&mut self, world: &mut World, rng: &Rng) {
+        if let Some(variation) = self.domain.draw_variation(rng) {
+            self.object.vary(world, variation);
+        }
     }
+}
+
+/// Where a gauze lies flat on the floor of the tray.
+fn resting(gauze: &Scaled, x: f64, y: f64) -> Pose {
+    frames::pose([x, y, floor() - gauze.aabb(&Pose::identity()).min.z], [0.0; 3])
 }
 
 #[cfg(test)]
@@ -115,7 +138,7 @@ mod tests {
     #[test]
     fn a_gauze_that_is_dropped_lies_on_the_floor_not_in_it() {
         let mut world = furnished_world(Preset::Paper);
-        let gauze = Gauze::insert(&mut world, Preset::Paper);
+        let gauze = Gauze::insert(&mut world, Preset::Paper, Domain::default());
         for (index, height) in [0.01, 0.03, 0.05].into_iter().enumerate() {
             let tilt = 0.1 * index as f64;
             let mut pose = frames::pose([0.55, 0.0, 0.0], [tilt, 0.5 * tilt, 0.0]);
@@ -135,7 +158,7 @@ mod tests {
     fn a_gauze_lies_in_tray_and_workspace_and_stays_where_it_is_laid() {
         for preset in [Preset::Paper, Preset::Surrol] {
             let mut world = furnished_world(preset);
-            let gauze = Gauze::insert(&mut world, preset);
+            let mut gauze = Gauze::insert(&mut world, preset, Domain::default());
             let mut rng = Rng::new(3, 0);
             for _ in 0..20 {
                 gauze.lay_anywhere(&mut world, &mut rng);

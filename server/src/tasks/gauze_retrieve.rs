@@ -72,9 +72,11 @@
 //!   as its goal): one of 64 states that the expert made, with a new goal.
 //! - `preset = "surrol"`: positions, goals and tolerance in units of 0.2 m (metres × 5), gauze of
 //!   50 g, gripped with 3 N instead of 1 N, `spawn = "narrow"` and `grasp = "weld"` unless given.
-//! - `domain`: `friction` (coefficient of the jaws), `observation_noise` (m, on observed positions),
-//!   `joint_offset` (rad, on every rotary joint), `latency` (steps; the arm holds until the first
-//!   action arrives).
+//! - `domain`: `mass` (0.5 to 5; factor on the mass, besides what the size makes of it: stiffness
+//!   of contacts is per mass, so fingers sink into what is lighter), `size` (0.8 to 1.2; factor on
+//!   all lengths) of the gauze, `friction` (coefficient of the jaws), `observation_noise` (m, on
+//!   observed positions), `joint_offset` (rad, on every rotary joint), `latency` (steps; the arm
+//!   holds until the first action arrives).
 //! - `setup`: `base` (x, y, z in m and turn in rad of the arm's base), `table_height` (m). The arm
 //!   must reach the whole workspace.
 //!
@@ -108,6 +110,8 @@ use super::psm_scene::{
     self, MAX_STEPS, PaperAction, PsmArm, SECONDS_PER_STEP, Station, Turn, WORKSPACE,
 };
 use super::start::{self, Start};
+use super::theatre;
+use crate::render::Scene;
 use crate::sim::frames::Pose;
 use crate::sim::grasp::Grasp;
 use crate::sim::instrument::TIP_OFFSET;
@@ -148,13 +152,13 @@ impl Task for GauzeRetrieve {
     const ID: &'static str = "GauzeRetrieve-v0";
 
     fn options() -> Vec<OptionSpec> {
-        objects::options(1, [options::spawn(), start::option()])
+        objects::options(1, Gauze::SIZE, [options::spawn(), start::option()])
     }
 
     fn new(options: &Options) -> Result<(Self, World), Rejection> {
         let preset = options::preset_of(options);
         let mut world = gauze::furnished_world(preset);
-        let gauze = Gauze::insert(&mut world, preset);
+        let gauze = Gauze::insert(&mut world, preset, options::Domain::of(options)?);
         let paper = PaperAction { turn: Turn::Nothing, jaw: true };
         let start = [WORKSPACE.min.x, WORKSPACE.max.y, WORKSPACE.centre().z + TIP_OFFSET];
         let station = Station::psm1(start, gauze::floor());
@@ -223,10 +227,17 @@ impl Task for GauzeRetrieve {
         let (arm, object) = observation.split_at_mut(PsmArm::OBSERVED);
         self.arm.observe(world, arm);
         let gauze = world.pose(self.gauze.body());
-        let crest = gauze * Pose::from(Gauze::crest());
+        let crest = gauze * Pose::from(self.gauze.crest());
         objects::observe(&gauze, &crest, self.arm.scene_from_wrist(), self.preset, object);
         objects::write_goal(&gauze.translation.vector, self.preset, achieved);
         objects::write_goal(&self.goal, self.preset, desired);
+    }
+
+    fn scene(&self, world: &World, scene: &mut Scene) {
+        theatre::draw(scene);
+        self.gauze.draw(world, scene);
+        self.arm.draw(world, scene);
+        scene.add_goal(&self.goal, theatre::GOAL_RADIUS);
     }
 
     fn expert(&self, world: &World, action: &mut [f32]) {
@@ -262,7 +273,7 @@ impl GauzeRetrieve {
     /// What is to be done now.
     fn pick(&self, world: &World) -> Pick {
         let gauze = world.pose(self.gauze.body());
-        let tip = gauze * Pose::translation(0.0, 0.0, Gauze::sheet() + GRASP_CLEARANCE);
+        let tip = gauze * Pose::translation(0.0, 0.0, self.gauze.sheet() + GRASP_CLEARANCE);
         let wrist = tip.translation.vector + Vector3::z() * TIP_OFFSET;
         let grasp = Pose::from_parts(wrist.into(), psm_scene::down());
         let carried = gauze.translation.vector;

@@ -57,8 +57,11 @@
 //!
 //! - `preset = "surrol"`: angles of dVRK's own camera frame, about ±π for a straight arm, as in the
 //!   original.
-//! - `domain`: `observation_noise` (m, on observed positions), `joint_offset` (rad, on every rotary
-//!   joint), `latency` (steps; the arm holds until the first action arrives).
+//! - `domain`: `camera_pose_position` (m, up to 0.005 either way along each axis of the camera)
+//!   and `camera_pose_angle` (rad, up to 0.05 either way about each): where the camera really is,
+//!   seen from where the joint sensors have it, `observation_noise` (m, on observed positions),
+//!   `joint_offset` (rad, on every rotary joint), `latency` (steps; the arm holds until the first
+//!   action arrives).
 //! - `setup`: `base` (x, y, z in m and pitch in rad of the arm's base). The starts are the same joints;
 //!   the natural line of sight stays that of the nominal arm, in front of whose camera a straight arm
 //!   must look at the ground.
@@ -84,8 +87,11 @@ use trocar_proto::spec::{GoalSpec, OptionSpec};
 use trocar_proto::{Options, Rejection, TaskSpec};
 
 use super::Task;
-use super::ecm_scene::{Control, EcmArm, SECONDS_PER_STEP, STEP_ROLL, misorientation_element};
+use super::ecm_scene::{
+    CAMERA_ANGLE, Control, EcmArm, SECONDS_PER_STEP, STEP_ROLL, misorientation_element,
+};
 use super::options;
+use crate::render::Scene;
 use crate::sim::random::Rng;
 use crate::sim::world::{Solver, World};
 
@@ -121,7 +127,7 @@ impl Task for MisOrient {
             options::action(),
             options::observation(),
             options::preset(),
-            options::domain(),
+            options::domain_with(options::camera_rows(CAMERA_ANGLE)),
             options::setup(&EcmArm::setup_rows()),
         ]
     }
@@ -186,6 +192,10 @@ impl Task for MisOrient {
         }
         achieved[0] = self.arm.misorientation() as f32;
         desired[0] = 0.0;
+    }
+
+    fn scene(&self, _: &World, scene: &mut Scene) {
+        self.arm.draw(scene);
     }
 
     fn expert(&self, _: &World, action: &mut [f32]) {

@@ -19,6 +19,7 @@ use trocar_proto::spec::OptionSpec;
 use trocar_proto::{Code, Options, Rejection, Stage, TaskSpec};
 
 use crate::env::Env;
+use crate::render::Scene;
 use crate::sim::frames::Aabb;
 use crate::sim::random::Rng;
 use crate::sim::world::World;
@@ -45,6 +46,7 @@ pub mod pick;
 pub mod psm_scene;
 pub mod start;
 pub mod static_track;
+pub mod theatre;
 pub mod track;
 pub mod tray;
 
@@ -99,6 +101,11 @@ pub trait Task: Clone + Send + Sync + 'static {
     fn stage(&self, world: &World) -> Stage {
         let _ = world;
         Stage::Reach
+    }
+
+    /// Adds what there is to see, and from where; by default every body as its collision shapes.
+    fn scene(&self, world: &World, scene: &mut Scene) {
+        scene.add_world(world);
     }
 
     /// Where free objects are to stay, m; see [`Env::has_lost_objects`].
@@ -221,6 +228,7 @@ pub(crate) trait AnyTask: Send + Sync {
     );
     fn expert(&self, world: &World, action: &mut [f32]);
     fn stage(&self, world: &World) -> Stage;
+    fn scene(&self, world: &World, scene: &mut Scene);
     fn theatre(&self) -> Aabb;
     fn reward(&self, world: &World) -> f32;
     fn terminated(&self, world: &World) -> bool;
@@ -264,6 +272,10 @@ impl<T: Task> AnyTask for T {
 
     fn stage(&self, world: &World) -> Stage {
         Task::stage(self, world)
+    }
+
+    fn scene(&self, world: &World, scene: &mut Scene) {
+        Task::scene(self, world, scene);
     }
 
     fn theatre(&self) -> Aabb {

@@ -72,9 +72,11 @@
 //!   as its goal): one of 64 states that the expert made, with a new goal.
 //! - `preset = "surrol"`: positions, goals and tolerance in units of 0.2 m (metres × 5), needle of
 //!   10 g, gripped with 3 N instead of 1 N, `spawn = "narrow"` and `grasp = "weld"` unless given.
-//! - `domain`: `friction` (coefficient of the jaws), `observation_noise` (m, on observed positions),
-//!   `joint_offset` (rad, on every rotary joint), `latency` (steps; the arm holds until the first
-//!   action arrives).
+//! - `domain`: `mass` (0.5 to 5; factor on the mass, besides what the size makes of it: stiffness
+//!   of contacts is per mass, so fingers sink into what is lighter), `size` (0.8 to 1.2; factor on
+//!   all lengths) of the needle, `friction` (coefficient of the jaws), `observation_noise` (m, on
+//!   observed positions), `joint_offset` (rad, on every rotary joint), `latency` (steps; the arm
+//!   holds until the first action arrives).
 //! - `setup`: `base` (x, y, z in m and turn in rad of the arm's base), `table_height` (m). The arm
 //!   must reach the whole workspace.
 //!
@@ -105,15 +107,17 @@ use super::psm_scene::{
     self, MAX_STEPS, PaperAction, PsmArm, SECONDS_PER_STEP, Station, Turn, WORKSPACE,
 };
 use super::start::{self, Start};
+use super::theatre;
 use super::tray::{self, Needle};
+use crate::render::Scene;
 use crate::sim::frames::Pose;
 use crate::sim::grasp::Grasp;
 use crate::sim::instrument::TIP_OFFSET;
 use crate::sim::random::Rng;
 use crate::sim::world::World;
 
-/// How far the tip reaches below the middle of the wire when the jaws close, m: the finger's end is
-/// then as far above the pad as it may be.
+/// How far the tip reaches below the middle of the wire when the jaws close, m, for a needle of size
+/// 1: the finger's end is then as far above the pad as it may be.
 const GRASP_DEPTH: f64 = 0.45e-3;
 
 /// Height of the middle of the arc above the pad from which a tie may hold the needle under
@@ -147,13 +151,13 @@ impl Task for NeedlePick {
     const ID: &'static str = "NeedlePick-v0";
 
     fn options() -> Vec<OptionSpec> {
-        objects::options(1, [options::spawn(), start::option()])
+        objects::options(1, Needle::SIZE, [options::spawn(), start::option()])
     }
 
     fn new(options: &Options) -> Result<(Self, World), Rejection> {
         let preset = options::preset_of(options);
         let mut world = tray::furnished_world(preset);
-        let needle = Needle::insert(&mut world, preset);
+        let needle = Needle::insert(&mut world, preset, options::Domain::of(options)?);
         let paper = PaperAction { turn: Turn::Vertical, jaw: true };
         let start = [WORKSPACE.min.x, WORKSPACE.max.y, WORKSPACE.centre().z + TIP_OFFSET];
         let station = Station::psm1(start, tray::pad().max.z);
@@ -229,6 +233,14 @@ impl Task for NeedlePick {
         objects::write_goal(&self.goal, self.preset, desired);
     }
 
+    fn scene(&self, world: &World, scene: &mut Scene) {
+        theatre::draw(scene);
+        tray::draw(scene);
+        self.needle.draw(world, scene);
+        self.arm.draw(world, scene);
+        scene.add_goal(&self.goal, theatre::GOAL_RADIUS);
+    }
+
     fn expert(&self, world: &World, action: &mut [f32]) {
         self.pick(world).act(&self.arm, world, action);
     }
@@ -264,7 +276,7 @@ impl NeedlePick {
         let middle = self.needle.scene_from_middle(world);
         let carried = middle.translation.vector;
         let wire = middle.rotation * Vector3::y();
-        let wrist = carried + Vector3::z() * (TIP_OFFSET - GRASP_DEPTH);
+        let wrist = carried + Vector3::z() * (TIP_OFFSET - GRASP_DEPTH * self.needle.form().size());
         let rotation = pick::jaws_across(&wire, self.arm.scene_from_wrist());
         let grasp = Pose::from_parts(wrist.into(), rotation);
         Pick { object: self.needle.body(), grasp, carried, goal: self.goal }

@@ -60,8 +60,11 @@
 //!
 //! - `preset = "surrol"`: positions, goals and tolerance in units of 0.2 m (metres × 5), needle of
 //!   10 g, `spawn = "narrow"` unless given.
-//! - `domain`: `observation_noise` (m, on observed positions), `joint_offset` (rad, on every rotary
-//!   joint), `latency` (steps; the arm holds until the first action arrives).
+//! - `domain`: `mass` (0.5 to 5; factor on the mass, besides what the size makes of it: stiffness
+//!   of contacts is per mass, so fingers sink into what is lighter), `size` (0.8 to 1.2; factor on
+//!   all lengths) of the needle, `observation_noise` (m, on observed positions), `joint_offset`
+//!   (rad, on every rotary joint), `latency` (steps; the arm holds until the first action
+//!   arrives).
 //! - `setup`: `base` (x, y, z in m and turn in rad of the arm's base), `table_height` (m). The arm
 //!   must reach the whole workspace.
 //!
@@ -87,7 +90,9 @@ use super::options::{self, Preset};
 use super::psm_scene::{
     MAX_STEPS, PaperAction, PsmArm, REACH, SECONDS_PER_STEP, STEP_LENGTH, Station, Turn, WORKSPACE,
 };
+use super::theatre;
 use super::tray::{self, Needle};
+use crate::render::Scene;
 use crate::sim::frames::Pose;
 use crate::sim::instrument::{JAW_CLOSED, TIP_OFFSET};
 use crate::sim::random::Rng;
@@ -125,7 +130,7 @@ impl Task for NeedleReach {
             options::observation(),
             options::preset(),
             options::spawn(),
-            options::domain(),
+            options::domain_with(options::object_rows(Needle::SIZE)),
             options::setup(&PsmArm::setup_rows(1)),
         ]
     }
@@ -133,7 +138,7 @@ impl Task for NeedleReach {
     fn new(options: &Options) -> Result<(Self, World), Rejection> {
         let preset = options::preset_of(options);
         let mut world = tray::furnished_world(preset);
-        let needle = Needle::insert(&mut world, preset);
+        let needle = Needle::insert(&mut world, preset, options::Domain::of(options)?);
         let paper = PaperAction { turn: Turn::Nothing, jaw: false };
         let start = [WORKSPACE.min.x, WORKSPACE.max.y, WORKSPACE.max.z + TIP_OFFSET];
         let task = Self {
@@ -201,6 +206,14 @@ impl Task for NeedleReach {
             achieved[axis] = (tip[axis] * scale) as f32;
             desired[axis] = (self.goal[axis] * scale) as f32;
         }
+    }
+
+    fn scene(&self, world: &World, scene: &mut Scene) {
+        theatre::draw(scene);
+        tray::draw(scene);
+        self.needle.draw(world, scene);
+        self.arm.draw(world, scene);
+        scene.add_goal(&self.goal, theatre::GOAL_RADIUS);
     }
 
     fn expert(&self, _: &World, action: &mut [f32]) {

@@ -78,8 +78,11 @@
 //!   `weld` a tie replaces friction as soon as both fingers touch; one arm at a time has it.
 //! - `preset = "surrol"`: positions, goals and tolerance in units of 0.2 m (metres × 5), needle of
 //!   10 g, gripped with 3 N instead of 0.4 N, `grasp = "weld"` unless given.
-//! - `domain`: `observation_noise` (m, on observed positions), `friction` (of the jaws), `joint_offset`
-//!   (rad, on every rotary joint), `latency` (steps; the arms hold until the first action arrives).
+//! - `domain`: `mass` (0.5 to 5; factor on the mass, besides what the size makes of it: stiffness
+//!   of contacts is per mass, so fingers sink into what is lighter), `size` (0.8 to 1.2; factor on
+//!   all lengths) of the needle, `observation_noise` (m, on observed positions), `friction` (of
+//!   the jaws), `joint_offset` (rad, on every rotary joint), `latency` (steps; the arms hold until
+//!   the first action arrives).
 //! - `setup`: `base`, `base_2` (x, y, z in m and turn in rad of PSM1's and PSM2's base),
 //!   `table_height` (m). Each arm must reach its whole workspace.
 //!
@@ -119,8 +122,9 @@ use super::psm_scene::{
     self, MAX_STEPS, PITCH_LIMIT, PaperAction, PsmArm, SECONDS_PER_STEP, Station, Turn,
     pitch_across, pitched,
 };
+use super::theatre;
 use super::tray::{self, Needle};
-use crate::assets::Model;
+use crate::render::Scene;
 use crate::sim::frames::{self, Aabb, Pose};
 use crate::sim::grasp::{Grasp, GraspMode};
 use crate::sim::instrument::{JAW_OPEN, TIP_OFFSET};
@@ -173,7 +177,7 @@ const GOAL_SPREAD: f64 = 0.005;
 const GOAL_INSET: f64 = 0.01;
 
 /// How far from PSM1's tip the place near the needle's point can be while PSM1 holds the needle, wherever
-/// it does, m: 39.2 mm to the end of the swage, and half a finger's width.
+/// it does, m, for a needle of size 1: 39.2 mm to the end of the swage, and half a finger's width.
 const OUTREACH: f64 = 0.0402;
 
 /// The task; see the module's description.
@@ -195,13 +199,13 @@ impl Task for NeedleRegrasp {
     const ID: &'static str = "NeedleRegrasp-v0";
 
     fn options() -> Vec<OptionSpec> {
-        objects::options(2, [])
+        objects::options(2, Needle::SIZE, [])
     }
 
     fn new(options: &Options) -> Result<(Self, World), Rejection> {
         let preset = options::preset_of(options);
         let mut world = tray::furnished_world(preset);
-        let needle = Needle::insert(&mut world, preset);
+        let needle = Needle::insert(&mut world, preset, options::Domain::of(options)?);
         let mode = options::grasp_of(options);
         let grasp = Grasp::new(&mut world, mode, needle.body());
         let paper = PaperAction { turn: Turn::Pitch, jaw: true };
@@ -286,6 +290,14 @@ impl Task for NeedleRegrasp {
         objects::write_goal(&self.goal, self.preset, desired);
     }
 
+    fn scene(&self, world: &World, scene: &mut Scene) {
+        theatre::draw(scene);
+        tray::draw(scene);
+        self.needle.draw(world, scene);
+        self.arms.iter().for_each(|arm| arm.draw(world, scene));
+        scene.add_goal(&self.goal, theatre::GOAL_RADIUS);
+    }
+
     fn expert(&self, world: &World, action: &mut [f32]) {
         let [one, two] = &self.arms;
         bimanual::act([one, two], &self.plan(world).1, action);
@@ -300,7 +312,7 @@ impl NeedleRegrasp {
     /// Where the needle is grasped: near its point, near its swage.
     fn places(&self, world: &World) -> [Pose; 2] {
         let scene_from_needle = world.pose(self.needle.body());
-        PLACES.map(|place| scene_from_needle * Model::needle().body_from(place))
+        PLACES.map(|place| scene_from_needle * self.needle.form().body_from(place))
     }
 
     /// Where goals are: where PSM2 can bring the needle, and PSM1 cannot, wherever it holds it.
@@ -309,7 +321,7 @@ impl NeedleRegrasp {
         let mut goals = *two;
         goals.min.x += GOAL_INSET;
         goals.max.x -= GOAL_INSET;
-        goals.max.y = one.min.y - OUTREACH - objects::TOLERANCE;
+        goals.max.y = one.min.y - OUTREACH * self.needle.form().size() - objects::TOLERANCE;
         goals
     }
 
@@ -319,6 +331,7 @@ impl NeedleRegrasp {
         for arm in &mut self.arms {
             arm.reset(world, rng);
         }
+        self.needle.vary(world, rng);
         let [low, high] =
             [WORKSPACES[0].min, WORKSPACES[0].max].map(|corner| corner + Vector3::z() * TIP_OFFSET);
         let third = (high - low) / 3.0;
@@ -405,6 +418,7 @@ fn levelling(point: &Vector3<f64>, swage: &Vector3<f64>) -> Pose {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::assets::Model;
     use crate::sim::world::{BodyId, Shape};
     use crate::tasks::bimanual::tests::{Watched, act, act_as_expert, count};
 

@@ -4,10 +4,13 @@ use nalgebra::Vector3;
 use trocar_proto::goal::SuccessRule;
 use trocar_proto::spec::{Element, GoalSpec, OptionSpec};
 
-use super::options::{self, Preset};
+use super::options::{self, Preset, Variation};
 use super::psm_scene::{PsmArm, REACH, WORKSPACE};
+use crate::assets::{Model, Scaled};
+use crate::render::Scene;
 use crate::sim::frames::{self, Aabb, Pose};
 use crate::sim::random::Rng;
+use crate::sim::world::{BodyId, World};
 
 /// Number of values that [`observe`] writes.
 pub const OBSERVED: usize = 12;
@@ -19,8 +22,54 @@ pub const THEATRE: Aabb = Aabb::new([0.292, -0.268, 0.60], [0.708, 0.268, 0.90])
 /// Distance below which the goal is reached, m. Source: the paper.
 pub const TOLERANCE: f64 = 0.005;
 
-/// The options of tasks in which PSMs, so many of them, grasp an object: those that all have, and `own`.
-pub fn options(arms: usize, own: impl IntoIterator<Item = OptionSpec>) -> Vec<OptionSpec> {
+/// A free object in the world.
+#[derive(Debug, Clone, Copy)]
+pub struct Object {
+    body: BodyId,
+    /// Its shapes and frames in this episode.
+    form: Scaled<'static>,
+    /// What it weighs where no episode varies it, kg.
+    mass: f64,
+}
+
+impl Object {
+    /// Puts an object like `model` into the world, at rest, but of `mass`, kg.
+    pub fn insert(world: &mut World, model: &'static Model, mass: f64, at: &Pose) -> Self {
+        Self { body: model.insert(world, mass, at), form: model.scaled(1.0), mass }
+    }
+
+    /// The body in the world.
+    pub fn body(&self) -> BodyId {
+        self.body
+    }
+
+    /// Its shapes and frames in this episode.
+    pub fn form(&self) -> &Scaled<'static> {
+        &self.form
+    }
+
+    /// Draws it as a body `name`.
+    pub fn draw(&self, world: &World, name: &'static str, scene: &mut Scene) {
+        scene.begin(name);
+        scene.draw_scaled(&self.form, &world.pose(self.body), |material| material);
+    }
+
+    /// Makes of it what an episode makes of its objects; it must be laid anew.
+    pub fn vary(&mut self, world: &mut World, Variation { mass, size }: Variation) {
+        self.form = self.form.resized(size);
+        world.reshape(self.body, self.form.parts());
+        let mass = self.mass * mass * (size * size * size);
+        world.set_inertia(self.body, &self.form.inertia().with_mass(mass));
+    }
+}
+
+/// The options of tasks in which PSMs, so many of them, grasp an object of a `size` between two
+/// factors: those that all have, and `own`.
+pub fn options(
+    arms: usize,
+    size: [f64; 2],
+    own: impl IntoIterator<Item = OptionSpec>,
+) -> Vec<OptionSpec> {
     let [grasp, grasp_distance] = options::grasp();
     let mut specs = vec![
         options::reward(),
@@ -31,7 +80,8 @@ pub fn options(arms: usize, own: impl IntoIterator<Item = OptionSpec>) -> Vec<Op
         options::preset(),
     ];
     specs.extend(own);
-    specs.extend([options::grasp_domain(), options::setup(&PsmArm::setup_rows(arms))]);
+    let rows = std::iter::once(options::friction_row()).chain(options::object_rows(size));
+    specs.extend([options::domain_with(rows), options::setup(&PsmArm::setup_rows(arms))]);
     specs
 }
 

@@ -6,7 +6,7 @@ use trocar_proto::goal::Reward;
 use trocar_proto::spec::{Allowed, Element, OptionSpec, OptionValue, RowSpec};
 use trocar_proto::{Code, Options, Rejection};
 
-use crate::sim::frames::Aabb;
+use crate::sim::frames::{self, Aabb, Pose};
 use crate::sim::grasp::GraspMode;
 use crate::sim::random::Rng;
 
@@ -169,41 +169,55 @@ pub fn refuse_setup(options: &Options, why: impl Into<String>) -> Rejection {
     Rejection::new(Code::InvalidOption, "options.setup", given, why)
 }
 
-/// `domain`: ranges from which every episode of a task with objects to grasp draws.
-pub fn grasp_domain() -> OptionSpec {
-    let mut domain = domain();
-    if let Allowed::Table(rows) = &mut domain.allowed {
-        rows.insert(
-            0,
-            range_row(
-                "friction",
-                "Friction coefficient of the jaws; 1 where none is given.",
-                0.1,
-                2.0,
-            ),
-        );
-    }
-    domain
-}
-
 /// `domain`: ranges from which every episode draws.
 pub fn domain() -> OptionSpec {
+    domain_with([])
+}
+
+/// `domain`: ranges from which every episode of a task with these rows of its own draws.
+pub fn domain_with(own: impl IntoIterator<Item = RowSpec>) -> OptionSpec {
+    let noise = "Standard deviation of observed positions, m.";
+    let offset = "Error of each rotary joint's encoder, rad.";
+    let latency = "Steps by which actions take effect late (integers).";
+    let mut rows = Vec::from_iter(own);
+    rows.extend([
+        range_row("observation_noise", noise, 0.0, 0.01),
+        range_row("joint_offset", offset, -0.02, 0.02),
+        range_row("latency", latency, 0.0, 10.0),
+    ]);
     OptionSpec {
         name: "domain".into(),
         summary: "Ranges [low, high] from which every episode draws.".into(),
         default: OptionValue::Table(BTreeMap::new()),
-        allowed: Allowed::Table(vec![
-            range_row(
-                "observation_noise",
-                "Standard deviation of observed positions, m.",
-                0.0,
-                0.01,
-            ),
-            range_row("joint_offset", "Error of each rotary joint's encoder, rad.", -0.02, 0.02),
-            range_row("latency", "Steps by which actions take effect late (integers).", 0.0, 10.0),
-        ]),
+        allowed: Allowed::Table(rows),
     }
 }
+
+/// The row `friction` of `domain`.
+pub fn friction_row() -> RowSpec {
+    range_row("friction", "Friction coefficient of the jaws; 1 where none is given.", 0.1, 2.0)
+}
+
+/// The rows `mass` and `size` of `domain`; `size`: the smallest and the largest.
+pub fn object_rows(size: [f64; 2]) -> [RowSpec; 2] {
+    let mass = "Factor on the object's mass, besides what its size makes of it.";
+    let lengths = "Factor on every length of the object; its mass grows with the third power.";
+    [range_row("mass", mass, MASS[0], MASS[1]), range_row("size", lengths, size[0], size[1])]
+}
+
+/// The rows of `domain` that misplace the camera; `angle`: the largest turn, rad.
+pub fn camera_rows(angle: f64) -> [RowSpec; 2] {
+    let position = "Error of the camera's place on its arm along each of its axes, m.";
+    let turn = "Error of the camera's direction about each of its axes, rad.";
+    [
+        range_row("camera_pose_position", position, -0.005, 0.005),
+        range_row("camera_pose_angle", turn, -angle, angle),
+    ]
+}
+
+/// The factors on an object's mass with which every expert succeeds: stiffness of contacts is per mass, so
+/// at a quarter blocks and gauze are lost, and at ten times a block is too heavy to be handed over.
+const MASS: [f64; 2] = [0.5, 5.0];
 
 fn range_row(name: &str, summary: &str, min: f64, max: f64) -> RowSpec {
     RowSpec { name: name.into(), summary: summary.into(), count: 2, min, max }
@@ -224,7 +238,11 @@ impl Range {
 
     /// A number of the range; none where the range was not given.
     pub fn draw_if_given(&self, rng: &mut Rng) -> Option<f64> {
-        (*self != Self::default()).then(|| self.draw(rng))
+        self.is_given().then(|| self.draw(rng))
+    }
+
+    fn is_given(&self) -> bool {
+        *self != Self::default()
     }
 
     /// An integer of the range, both ends included.
@@ -234,6 +252,15 @@ impl Range {
     }
 }
 
+/// What an episode makes of its objects: factors on mass and size.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Variation {
+    /// Factor on the mass, besides what the size makes of it.
+    pub mass: f64,
+    /// Factor on every length.
+    pub size: f64,
+}
+
 /// The ranges of `domain`.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct Domain {
@@ -241,6 +268,14 @@ pub struct Domain {
     pub observation_noise: Range,
     /// Friction coefficient of the jaws.
     pub friction: Range,
+    /// Factor on the object's mass.
+    pub mass: Range,
+    /// Factor on the object's lengths.
+    pub size: Range,
+    /// Error of the camera's place along each of its axes, m.
+    pub camera_pose_position: Range,
+    /// Error of the camera's direction about each of its axes, rad.
+    pub camera_pose_angle: Range,
     /// Error of each rotary joint's encoder, rad.
     pub joint_offset: Range,
     /// Steps by which actions take effect late.
@@ -263,8 +298,34 @@ impl Domain {
         Ok(Self {
             observation_noise: range("observation_noise")?,
             friction: range("friction")?,
+            mass: range("mass")?,
+            size: range("size")?,
+            camera_pose_position: range("camera_pose_position")?,
+            camera_pose_angle: range("camera_pose_angle")?,
             joint_offset: range("joint_offset")?,
             latency: range("latency")?,
+        })
+    }
+
+    /// What the episode of `rng` makes of its objects; none where neither range was given.
+    pub fn draw_variation(&self, rng: &Rng) -> Option<Variation> {
+        let mut rng = rng.aside();
+        let [mass, size] = [self.mass, self.size].map(|range| {
+            let number = range.draw(&mut rng);
+            range.is_given().then_some(number)
+        });
+        (mass.is_some() || size.is_some())
+            .then(|| Variation { mass: mass.unwrap_or(1.0), size: size.unwrap_or(1.0) })
+    }
+
+    /// Where the camera of the episode of `rng` is, seen from where it should be; none where neither range
+    /// was given.
+    pub fn draw_camera_error(&self, rng: &Rng) -> Option<Pose> {
+        let ranges = [self.camera_pose_position, self.camera_pose_angle];
+        ranges.iter().any(Range::is_given).then(|| {
+            let mut rng = rng.aside();
+            let [position, turn] = ranges.map(|range| [(); 3].map(|()| range.draw(&mut rng)));
+            frames::pose(position, turn)
         })
     }
 }

@@ -7,10 +7,11 @@ use nalgebra::Vector3;
 use trocar_proto::goal::SuccessRule;
 use trocar_proto::spec::GoalSpec;
 
-use super::objects::THEATRE;
-use super::options::{self, Preset};
+use super::objects::{Object, THEATRE};
+use super::options::{self, Domain, Preset};
 use super::tray;
-use crate::assets::Model;
+use crate::assets::{Model, Scaled};
+use crate::render::Scene;
 use crate::sim::frames::{self, Aabb, Pose};
 use crate::sim::random::Rng;
 use crate::sim::world::{BodyId, World};
@@ -32,65 +33,86 @@ const YAW: f64 = 30.0 * PI / 180.0;
 const HORIZONTAL: f64 = 0.005;
 const VERTICAL: f64 = 0.004;
 
+/// Colours of the blocks that stay.
+const OTHERS: [[f32; 3]; 5] = [
+    [0.85, 0.85, 0.83],
+    [0.93, 0.72, 0.18],
+    [0.55, 0.35, 0.72],
+    [0.20, 0.62, 0.60],
+    [0.80, 0.42, 0.30],
+];
+
 /// A block in the world: a triangular ring.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Block {
-    body: BodyId,
-}
+#[derive(Debug, Clone, Copy)]
+pub struct Block(Object);
 
 impl Block {
     /// Mass under `preset = "surrol"`, kg. Source: the original.
     const SURROL_MASS: f64 = 0.01;
+
+    /// Its sizes: one below 0.966 counts as not on its peg when it stands about it, and where it is
+    /// much larger, blocks on neighbouring pegs have no room.
+    pub const SIZE: [f64; 2] = [0.98, 1.1];
 
     /// Number of its walls.
     pub const WALLS: usize = 3;
 
     /// The body in the world.
     pub fn body(&self) -> BodyId {
-        self.body
+        self.0.body()
+    }
+
+    /// Its shapes in this episode.
+    pub fn form(&self) -> &Scaled<'static> {
+        self.0.form()
     }
 
     /// The middle of one of its walls (0, 1, 2), scene frame: x towards the axis of the ring, z along
     /// it.
     pub fn scene_from_wall(&self, world: &World, wall: usize) -> Pose {
-        world.pose(self.body) * Self::block_from_wall(wall)
+        world.pose(self.body()) * self.block_from_wall(wall)
     }
 
     /// The middle of one of its walls (0, 1, 2) in the block.
-    pub fn block_from_wall(wall: usize) -> Pose {
-        Model::block().body_from(["wall_0", "wall_1", "wall_2"][wall])
+    pub fn block_from_wall(&self, wall: usize) -> Pose {
+        self.form().body_from(["wall_0", "wall_1", "wall_2"][wall])
     }
 
     /// Half its height, m.
-    pub fn half_height() -> f64 {
-        Model::block().aabb(&Pose::identity()).max.z
+    pub fn half_height(&self) -> f64 {
+        self.form().aabb(&Pose::identity()).max.z
     }
 
     /// Distance of its corners from its axis, m.
-    pub fn radius() -> f64 {
-        let wall = Model::block().parts[0].aabb(&Pose::identity());
-        wall.min.xy().norm()
+    pub fn radius(&self) -> f64 {
+        self.wall().min.xy().norm()
     }
 
     /// Half the thickness of its walls, m.
-    pub fn half_wall() -> f64 {
-        let wall = &Model::block().parts[0];
-        0.5 * wall.aabb(&Pose::identity()).extents().x
+    pub fn half_wall(&self) -> f64 {
+        0.5 * self.wall().extents().x
+    }
+
+    /// The box around its first wall, in the block, m.
+    fn wall(&self) -> Aabb {
+        self.form().parts().next().expect("a block has walls").aabb(&Pose::identity())
     }
 
     /// Stands the block on the board about peg `peg`, at rest, turned by `yaw` (rad).
     pub fn stand(&self, world: &mut World, peg: usize, yaw: f64) {
-        world.place(self.body, &Self::standing(peg, yaw));
-    }
-
-    fn standing(peg: usize, yaw: f64) -> Pose {
-        let peg = PegBoard::peg(peg);
-        frames::pose([peg.x, peg.y, PegBoard::top() + Self::half_height()], [0.0, 0.0, yaw])
+        world.place(self.body(), &standing(self.form(), peg, yaw));
     }
 }
 
+/// Where a block stands on the board about peg `peg`.
+fn standing(block: &Scaled, peg: usize, yaw: f64) -> Pose {
+    let peg = PegBoard::peg(peg);
+    let half_height = block.aabb(&Pose::identity()).max.z;
+    frames::pose([peg.x, peg.y, PegBoard::top() + half_height], [0.0, 0.0, yaw])
+}
+
 /// How an episode begins.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy)]
 pub struct Layout {
     /// The block that is to be moved.
     pub block: Block,
@@ -102,14 +124,16 @@ pub struct Layout {
 #[derive(Debug, Clone)]
 pub struct PegBoard {
     blocks: Vec<Block>,
+    domain: Domain,
 }
 
 impl PegBoard {
     /// Number of its pegs.
     pub const PEGS: usize = 12;
 
-    /// Puts the board and so many blocks into a world, see [`tray::bare_table`]; at most six.
-    pub fn insert(world: &mut World, preset: Preset, blocks: usize) -> Self {
+    /// Puts the board and so many blocks into a world, see [`tray::bare_table`]; at most six. Episodes
+    /// draw mass and size of all blocks from `domain`.
+    pub fn insert(world: &mut World, preset: Preset, blocks: usize, domain: Domain) -> Self {
         tray::furnish(world, Model::pegboard(), ORIGIN);
         let model = Model::block();
         let mass = match preset {
@@ -117,10 +141,10 @@ impl PegBoard {
             Preset::Surrol => Block::SURROL_MASS,
         };
         let mut block = |peg| {
-            let at = Block::standing(peg, 0.0);
-            Block { body: model.insert(world, mass, &at) }
+            let at = standing(&model.scaled(1.0), peg, 0.0);
+            Block(Object::insert(world, model, mass, &at))
         };
-        Self { blocks: SOURCES.take(blocks).map(&mut block).collect() }
+        Self { blocks: SOURCES.take(blocks).map(&mut block).collect(), domain }
     }
 
     /// Height of the board's top, m.
@@ -149,9 +173,30 @@ impl PegBoard {
         &self.blocks
     }
 
+    /// Draws the board and its blocks: the one of `layout` as `block`, in its own colour, and a ring about
+    /// the peg to which it is to go.
+    pub fn draw(&self, world: &World, layout: &Layout, scene: &mut Scene) {
+        scene.add_model("board", Model::pegboard(), &frames::pose(ORIGIN, [0.0; 3]));
+        layout.block.0.draw(world, "block", scene);
+        let others = self.blocks.iter().filter(|block| block.body() != layout.block.body());
+        for (number, (block, colour)) in others.zip(OTHERS).enumerate() {
+            scene.begin(format!("other block {}", number + 1));
+            let at = world.pose(block.body());
+            scene.draw_scaled(block.0.form(), &at, |material| material.coloured(colour));
+        }
+        let top = Self::peg_box(layout.target).max.z;
+        let peg = Self::peg(layout.target);
+        scene.add_goal(&Vector3::new(peg.x, peg.y, top), 1.3 * Self::peg_radius());
+    }
+
     /// Stands the blocks on pegs drawn from the sources, at rest, each turned by up to 30° either
     /// way, and draws a block and a target for it.
-    pub fn lay_out(&self, world: &mut World, rng: &mut Rng) -> Layout {
+    pub fn lay_out(&mut self, world: &mut World, rng: &mut Rng) -> Layout {
+        if let Some(variation) = self.domain.draw_variation(rng) {
+            for block in &mut self.blocks {
+                block.0.vary(world, variation);
+            }
+        }
         let target = Self::draw_target(rng);
         let sources = shuffled(SOURCES, rng);
         for (block, peg) in self.blocks.iter().zip(sources) {
@@ -167,7 +212,7 @@ impl PegBoard {
 
     /// Whether a block is on a peg: as the goal's rule has it.
     pub fn is_on(world: &World, block: Block, peg: usize) -> bool {
-        let off = world.pose(block.body).translation.vector - Self::peg(peg);
+        let off = world.pose(block.body()).translation.vector - Self::peg(peg);
         off.xy().norm() < HORIZONTAL && off.z.abs() < VERTICAL
     }
 
@@ -199,14 +244,14 @@ mod tests {
 
     fn board(preset: Preset, blocks: usize) -> (World, PegBoard) {
         let mut world = tray::bare_table(preset);
-        let board = PegBoard::insert(&mut world, preset, blocks);
+        let board = PegBoard::insert(&mut world, preset, blocks, Domain::default());
         (world, board)
     }
 
     #[test]
     fn blocks_rest_where_they_are_put() {
         for preset in [Preset::Paper, Preset::Surrol] {
-            let (mut world, board) = board(preset, 6);
+            let (mut world, mut board) = board(preset, 6);
             let mut rng = Rng::new(1, 0);
             for _ in 0..4 {
                 board.lay_out(&mut world, &mut rng);
@@ -223,7 +268,7 @@ mod tests {
                     let moved = world.pose(block.body()).inv_mul(&put);
                     assert!(moved.translation.vector.norm() < 0.02e-3, "{moved}");
                     assert!(moved.rotation.angle() < 1e-3, "{moved}");
-                    let bottom = world.pose(block.body()).translation.z - Block::half_height();
+                    let bottom = world.pose(block.body()).translation.z - block.half_height();
                     assert!(PegBoard::top() - bottom < 0.1e-3, "sunk into the board");
                 }
             }
@@ -232,14 +277,14 @@ mod tests {
 
     #[test]
     fn every_episode_has_its_pegs_blocks_and_target() {
-        let (mut world, board) = board(Preset::Paper, 4);
+        let (mut world, mut board) = board(Preset::Paper, 4);
         let mut rng = Rng::new(2, 0);
         let (mut sources, mut targets, mut chosen) = ([0; 12], [0; 12], [0; 4]);
         for _ in 0..600 {
             let layout = board.lay_out(&mut world, &mut rng);
             targets[layout.target] += 1;
-            let is_layouts = |block: &&Block| **block == layout.block;
-            chosen[board.blocks().iter().position(|b| is_layouts(&b)).unwrap()] += 1;
+            let is_layouts = |block: &Block| block.body() == layout.block.body();
+            chosen[board.blocks().iter().position(is_layouts).unwrap()] += 1;
             for block in board.blocks() {
                 let on: Vec<_> =
                     (0..12).filter(|peg| PegBoard::is_on(&world, *block, *peg)).collect();
@@ -263,8 +308,10 @@ mod tests {
         let peg = PegBoard::peg_box(7);
         assert!((peg.extents() - Vector3::new(0.002, 0.002, 0.028)).norm() < 1e-9);
         assert!((peg.centre() - PegBoard::peg(7)).norm() < 1e-9);
-        assert!((Block::half_height() - 0.00725).abs() < 1e-9);
-        assert!((Block::half_wall() - 0.0008).abs() < 1e-9);
-        assert!((Block::radius() - 0.00904).abs() < 1e-5);
+        let (_, board) = board(Preset::Paper, 1);
+        let block = board.blocks()[0];
+        assert!((block.half_height() - 0.00725).abs() < 1e-9);
+        assert!((block.half_wall() - 0.0008).abs() < 1e-9);
+        assert!((block.radius() - 0.00904).abs() < 1e-5);
     }
 }

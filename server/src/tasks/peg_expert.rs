@@ -11,7 +11,6 @@ use super::peg_board::{Block, PegBoard};
 use super::pick::{jaws_across, step_towards};
 use super::psm_scene::PsmArm;
 use super::start::Start;
-use crate::assets::Model;
 use crate::sim::frames::Pose;
 use crate::sim::instrument::{FINGER_HALF, JAW_CLOSED, JAW_OPEN, TIP_OFFSET};
 use crate::sim::world::World;
@@ -82,7 +81,7 @@ impl Transfer {
     pub fn progress(&self, arm: &PsmArm, world: &World) -> Start {
         let block = world.pose(self.block.body());
         if arm.holds(world, self.block.body()) {
-            let passes = bottom(&block) - peg_top();
+            let passes = bottom(self.block, &block) - peg_top();
             return if passes >= 0.5 * PASS { Start::Lift } else { Start::Pick };
         }
         let (grasp, jaw) = self.pick(arm, world);
@@ -102,7 +101,7 @@ impl Transfer {
         let by = |way: Vector3<f64>| Pose::from(way) * wrist;
         let held = arm.holds(world, self.block.body());
         let block = world.pose(self.block.body());
-        let height = bottom(&block) - PegBoard::top();
+        let height = bottom(self.block, &block) - PegBoard::top();
         if PegBoard::is_on(world, self.block, self.target) && (height < LET_GO || !held) {
             // Open, then straight up and out of the way.
             let up = if arm.opening(world) > OPEN { pass() - wrist.translation.z } else { 0.0 };
@@ -119,9 +118,10 @@ impl Transfer {
 
     /// What is done with a held block now, and the way on which it goes.
     fn carry(&self, block: &Pose, wrist: &Pose) -> (Stage, Vector3<f64>) {
-        let goal = PegBoard::peg(self.target) + outwards(block, held_wall(block, wrist)) * OFF_AXIS;
+        let goal = PegBoard::peg(self.target)
+            + outwards(self.block, block, held_wall(self.block, block, wrist)) * OFF_AXIS;
         let way = level(&(goal - block.translation.vector));
-        let bottom = bottom(block);
+        let bottom = bottom(self.block, block);
         let passes = bottom - peg_top();
         let near = if passes < 0.0 { STILL_OVER } else { OVER };
         if way.norm() < near {
@@ -139,8 +139,8 @@ impl Transfer {
         let block = world.pose(self.block.body());
         let (grasp, _) = (0..Block::WALLS)
             .map(|wall| {
-                let (pose, missing) = grasp(&block, wall, wrist);
-                let aside = self.side * outwards(&block, wall).y;
+                let (pose, missing) = grasp(self.block, &block, wall, wrist);
+                let aside = self.side * outwards(self.block, &block, wall).y;
                 let awkward = (self.side.abs() * WELL_ASIDE - aside).max(0.0) / AWKWARD;
                 (pose, turn(&pose, wrist) + missing / TIGHT + awkward)
             })
@@ -166,58 +166,58 @@ impl Transfer {
     }
 }
 
-/// The wall of a block that is nearest to a wrist.
-pub(super) fn held_wall(block: &Pose, wrist: &Pose) -> usize {
-    let off = |wall: usize| distance(&(block * Block::block_from_wall(wall)), wrist);
+/// The wall of a block at `pose` that is nearest to a wrist.
+pub(super) fn held_wall(block: Block, pose: &Pose, wrist: &Pose) -> usize {
+    let off = |wall: usize| distance(&(pose * block.block_from_wall(wall)), wrist);
     (0..Block::WALLS).min_by(|a, b| off(*a).total_cmp(&off(*b))).expect("a block has walls")
 }
 
 /// The level direction from a block's axis to the middle of a wall.
-pub(super) fn outwards(block: &Pose, wall: usize) -> Vector3<f64> {
-    let wall = block * Block::block_from_wall(wall);
+pub(super) fn outwards(block: Block, pose: &Pose, wall: usize) -> Vector3<f64> {
+    let wall = pose * block.block_from_wall(wall);
     // A block that lies on its side has no wall to grasp: any direction does.
     level(&(wall.rotation * -Vector3::x())).try_normalize(1e-3).unwrap_or(-Vector3::x())
 }
 
 /// The wrist that grasps a wall of a block in the air: jaws straight down across the wall.
-pub(super) fn grasp_in_air(block: &Pose, wall: usize, wrist: &Pose) -> Pose {
-    let middle = (block * Block::block_from_wall(wall)).translation.vector;
-    let top = block.translation.z + Block::half_height();
+pub(super) fn grasp_in_air(block: Block, pose: &Pose, wall: usize, wrist: &Pose) -> Pose {
+    let middle = (pose * block.block_from_wall(wall)).translation.vector;
+    let top = pose.translation.z + block.half_height();
     let at = Vector3::new(middle.x, middle.y, top - DEPTH + TIP_OFFSET);
-    let across = Vector3::z().cross(&outwards(block, wall));
+    let across = Vector3::z().cross(&outwards(block, pose, wall));
     Pose::from_parts(at.into(), jaws_across(&across, wrist))
 }
 
 /// Height of the lowest point of a block, m: it may hang askew.
-fn bottom(block: &Pose) -> f64 {
-    Model::block().aabb(block).min.z
+fn bottom(block: Block, pose: &Pose) -> f64 {
+    block.form().aabb(pose).min.z
 }
 
 /// The way up on which a block clears the pegs, m; below 0 where it is higher.
-pub(super) fn way_over_pegs(block: &Pose) -> f64 {
-    peg_top() + PASS - bottom(block)
+pub(super) fn way_over_pegs(block: Block, pose: &Pose) -> f64 {
+    peg_top() + PASS - bottom(block, pose)
 }
 
 /// The wrist that grasps a wall of a block: jaws straight down across the wall, the inner finger
 /// between wall and peg. Also what is missing of the room for it, m.
-fn grasp(block: &Pose, wall: usize, wrist: &Pose) -> (Pose, f64) {
-    let inwards = -outwards(block, wall);
-    let middle = (block * Block::block_from_wall(wall)).translation.vector;
+fn grasp(block: Block, pose: &Pose, wall: usize, wrist: &Pose) -> (Pose, f64) {
+    let inwards = -outwards(block, pose, wall);
+    let middle = (pose * block.block_from_wall(wall)).translation.vector;
     let (sin, cos) = libm::sincos(0.5 * JAW_OPEN);
     // From the middle of open jaws: the far side of a finger at its tip, the near side at the block's
     // top.
     let far = TIP_OFFSET * sin + 2.0 * FINGER_HALF.y * cos;
     let near = (TIP_OFFSET - DEPTH) * sin / cos;
     // So far outside the wall's middle the jaws' may be at most, and must be at least.
-    let most = near - Block::half_wall();
+    let most = near - block.half_wall();
     let pegs = (0..PegBoard::PEGS).map(PegBoard::peg);
     let in_ring =
-        pegs.filter(|peg| level(&(peg - block.translation.vector)).norm() < Block::radius());
+        pegs.filter(|peg| level(&(peg - pose.translation.vector)).norm() < block.radius());
     let least = in_ring
         .map(|peg| far - ((peg - middle).dot(&inwards) - PegBoard::peg_radius()))
         .fold(-most, f64::max);
     let tip = middle - inwards * (0.5 * (least + most));
-    let top = block.translation.z + Block::half_height();
+    let top = pose.translation.z + block.half_height();
     let at = Vector3::new(tip.x, tip.y, top - DEPTH + TIP_OFFSET);
     let across = Vector3::z().cross(&inwards);
     (Pose::from_parts(at.into(), jaws_across(&across, wrist)), (least - most).max(0.0))

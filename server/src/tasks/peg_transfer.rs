@@ -71,9 +71,12 @@
 //!   pegs): one of 64 states that the expert made, with a new target.
 //! - `preset = "surrol"`: positions, goals and tolerances in units of 0.2 m (metres × 5), blocks of
 //!   10 g, gripped with 3 N instead of 1 N, `grasp = "weld"` unless given.
-//! - `domain`: `friction` (coefficient of the jaws), `observation_noise` (m, on observed positions),
-//!   `joint_offset` (rad, on every rotary joint), `latency` (steps; the arm holds until the first
-//!   action arrives).
+//! - `domain`: `mass` (0.5 to 5; factor on the mass, besides what the size makes of it: stiffness
+//!   of contacts is per mass, so fingers sink into what is lighter), `size` (0.98 to 1.1; factor
+//!   on all lengths) of all blocks: a block below 0.966 that stands about its peg is more than 4
+//!   mm below its middle, `friction` (coefficient of the jaws), `observation_noise` (m, on
+//!   observed positions), `joint_offset` (rad, on every rotary joint), `latency` (steps; the arm
+//!   holds until the first action arrives).
 //! - `setup`: `base` (x, y, z in m and turn in rad of the arm's base), `table_height` (m). The arm
 //!   must reach the whole workspace.
 //!
@@ -100,13 +103,15 @@ use trocar_proto::{Options, Rejection, Stage, TaskSpec};
 use super::Task;
 use super::objects;
 use super::options::{self, Preset};
-use super::peg_board::{Layout, PegBoard};
+use super::peg_board::{Block, Layout, PegBoard};
 use super::peg_expert::Transfer;
 use super::psm_scene::{
     self, MAX_STEPS, PaperAction, PsmArm, SECONDS_PER_STEP, Station, Turn, WORKSPACE,
 };
 use super::start::{self, Start};
+use super::theatre;
 use super::tray;
+use crate::render::Scene;
 use crate::sim::grasp::Grasp;
 use crate::sim::instrument::TIP_OFFSET;
 use crate::sim::random::Rng;
@@ -138,13 +143,13 @@ impl Task for PegTransfer {
     const ID: &'static str = "PegTransfer-v0";
 
     fn options() -> Vec<OptionSpec> {
-        objects::options(1, [start::option()])
+        objects::options(1, Block::SIZE, [start::option()])
     }
 
     fn new(options: &Options) -> Result<(Self, World), Rejection> {
         let preset = options::preset_of(options);
         let mut world = tray::bare_table(preset);
-        let board = PegBoard::insert(&mut world, preset, BLOCKS);
+        let board = PegBoard::insert(&mut world, preset, BLOCKS, options::Domain::of(options)?);
         let paper = PaperAction { turn: Turn::Vertical, jaw: true };
         let start = [WORKSPACE.min.x, WORKSPACE.max.y, WORKSPACE.max.z + TIP_OFFSET];
         let station = Station::psm1(start, PegBoard::top());
@@ -219,6 +224,12 @@ impl Task for PegTransfer {
         objects::observe(&centre, &wall, self.arm.scene_from_wrist(), self.preset, object);
         objects::write_goal(&centre.translation.vector, self.preset, achieved);
         objects::write_goal(&PegBoard::peg(target), self.preset, desired);
+    }
+
+    fn scene(&self, world: &World, scene: &mut Scene) {
+        theatre::draw(scene);
+        self.board.draw(world, &self.layout, scene);
+        self.arm.draw(world, scene);
     }
 
     fn expert(&self, world: &World, action: &mut [f32]) {

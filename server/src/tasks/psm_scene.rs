@@ -26,6 +26,8 @@ use trocar_proto::spec::{Element, RowSpec};
 use trocar_proto::{Options, Rejection};
 
 use super::options::{self, ActionMode, Preset, Range};
+use crate::render::Scene;
+use crate::render::skeleton::Skeleton;
 use crate::robots::Psm;
 use crate::sim::frames::{self, Aabb, Pose};
 use crate::sim::grasp::Grasp;
@@ -293,6 +295,26 @@ impl PsmArm {
     /// The wrist as the joint sensors report it, scene frame.
     pub fn scene_from_wrist(&self) -> &Pose {
         &self.scene_from_wrist
+    }
+
+    /// Draws the arm as it truly is, as `psm1` or `psm2`.
+    pub fn draw(&self, world: &World, scene: &mut Scene) {
+        const NAMES: [&str; 6] = ["yaw", "pitch", "insertion", "roll", "wrist_pitch", "wrist_yaw"];
+        let joint = |name: &str| {
+            let index = NAMES.iter().position(|other| *other == name);
+            index.map_or(0.0, |index| self.joints[index] + self.offsets[index])
+        };
+        let fingers = self.instrument.world_from_fingers(world);
+        let link = wrist_from_link();
+        // The first jaw of the model is on the −x side of its link.
+        let first = usize::from((link * -Vector3::x()).y > 0.0);
+        let elsewhere = |name: &str| match name {
+            "jaw_1_link" => Some(fingers[first] * link),
+            "jaw_2_link" => Some(fingers[1 - first] * link),
+            _ => None,
+        };
+        let name = ["psm1", "psm2"][self.index];
+        Skeleton::psm().draw(scene, name, &self.scene_from_base, joint, elsewhere);
     }
 
     /// How far the shaft's end is from that of `other`, m; below 0 they overlap.

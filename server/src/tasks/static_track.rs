@@ -61,8 +61,11 @@
 //!   with the opposite sign, as the original's control law takes them (inferred from its expert);
 //!   number 9 is the roll rate of the original's law, 25 · θ*, rad/s. Not reproduced: pixels, dVRK's
 //!   limits instead of the original's, and the original's law itself, see below.
-//! - `domain`: `observation_noise` (m, on observed positions), `joint_offset` (rad, on every rotary
-//!   joint), `latency` (steps; the arm holds until the first action arrives).
+//! - `domain`: `camera_pose_position` (m, up to 0.005 either way along each axis of the camera)
+//!   and `camera_pose_angle` (rad, up to 0.004 either way about each): where the camera really is,
+//!   seen from where the joint sensors have it (the law that levels the picture cannot know of it,
+//!   and 0.01 must remain), `observation_noise` (m, on observed positions), `joint_offset` (rad,
+//!   on every rotary joint), `latency` (steps; the arm holds until the first action arrives).
 //! - `setup`: `base` (x, y, z in m and pitch in rad of the arm's base). The start is the same joints,
 //!   and must have the middle of the targets' region in the picture; the natural line of sight stays
 //!   that of the nominal arm.
@@ -93,6 +96,7 @@ use super::camera::Cube;
 use super::ecm_scene::{SECONDS_PER_STEP, misorientation_element};
 use super::options;
 use super::track::{Layout, Tracker, image_elements};
+use crate::render::Scene;
 use crate::sim::random::Rng;
 use crate::sim::world::{Solver, World};
 
@@ -114,6 +118,10 @@ const IMAGE_TOLERANCE: f32 = 0.01;
 
 /// Misorientation below which the picture counts as level, rad. Source: the paper.
 const ANGLE_TOLERANCE: f32 = 0.01;
+
+/// Largest error of the camera's direction that episodes may draw, rad: the law that levels the picture
+/// goes by the joint sensors, and what it cannot know must stay below [`ANGLE_TOLERANCE`].
+const CAMERA_ANGLE: f64 = 0.004;
 
 /// The task; see the module's description.
 #[derive(Debug, Clone)]
@@ -138,7 +146,7 @@ impl Task for StaticTrack {
             options::action(),
             options::observation(),
             options::preset(),
-            options::domain(),
+            options::domain_with(options::camera_rows(CAMERA_ANGLE)),
             options::setup(&Tracker::setup_rows()),
         ]
     }
@@ -193,6 +201,10 @@ impl Task for StaticTrack {
         achieved[1] = point.y as f32;
         achieved[2] = self.tracker.misorientation() as f32;
         desired.fill(0.0);
+    }
+
+    fn scene(&self, _: &World, scene: &mut Scene) {
+        self.tracker.draw(scene);
     }
 
     fn expert(&self, _: &World, action: &mut [f32]) {

@@ -32,6 +32,8 @@ use trocar_proto::{Options, Rejection};
 use super::camera::{Cube, IMAGE_BOUND, Sighting, TAN_HALF_VIEW, View};
 use super::ecm_scene::{Control, EcmArm, STEP_TURN, misorientation_element};
 use super::options::{self, Preset};
+use crate::assets::Model;
+use crate::render::Scene;
 use crate::sim::random::Rng;
 
 /// Elements of [`Tracker::observe`].
@@ -140,7 +142,7 @@ impl Tracker {
     pub fn new(options: &Options, joints: &[f64; 4], target: Cube) -> Result<Self, Rejection> {
         let mut arm = EcmArm::new(options, Control::Velocity)?;
         arm.start_with(joints);
-        let mut tracker = Self {
+        let tracker = Self {
             arm,
             preset: options::preset_of(options),
             target,
@@ -148,8 +150,7 @@ impl Tracker {
             sighting: Sighting { in_view: false, in_picture: false, point: Vector2::zeros() },
             misorientation: 0.0,
         };
-        tracker.arm.reset(&mut Rng::new(0, 0));
-        let view = tracker.view();
+        let view = View::new(tracker.arm.nominal_start());
         let around = [[1.0, 1.0], [1.0, -1.0], [-1.0, 1.0], [-1.0, -1.0]];
         let in_picture = around.map(|[x, y]| {
             let mut moved = tracker.target.clone();
@@ -191,6 +192,22 @@ impl Tracker {
             (self.target.centre.x, self.target.centre.y) = (place.x, place.y);
         }
         self.look();
+    }
+
+    /// Draws the arm and all cubes, the target as `target`.
+    pub fn draw(&self, scene: &mut Scene) {
+        self.arm.draw(scene);
+        for (number, cube) in self.cubes().enumerate() {
+            if number == 0 {
+                scene.begin("target");
+            } else {
+                scene.begin(format!("cube {number}"));
+            }
+            for visual in &Model::cube(cube.edge).visuals {
+                let at = cube.world_from_cube() * visual.body_from_visual;
+                scene.draw(visual.form.mesh(), at, visual.material.coloured(cube.colour));
+            }
+        }
     }
 
     /// What is seen of the target.

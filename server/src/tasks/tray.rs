@@ -3,9 +3,11 @@
 
 use std::f64::consts::FRAC_PI_2;
 
-use super::options::Preset;
+use super::objects::Object;
+use super::options::{Domain, Preset};
 use super::psm_scene::WORKSPACE;
-use crate::assets::Model;
+use crate::assets::{Model, Scaled};
+use crate::render::Scene;
 use crate::sim::frames::{self, Aabb, Pose};
 use crate::sim::random::Rng;
 use crate::sim::world::{BodyId, Motion, Solver, World};
@@ -45,6 +47,18 @@ pub fn furnish(world: &mut World, model: &Model, origin: [f64; 3]) {
     world.insert(Motion::Fixed, &pose, model.friction, &model.parts);
 }
 
+/// Draws the tray with the pad in it.
+pub fn draw(scene: &mut Scene) {
+    scene.add_model("tray", Model::tray(), &scene_from_tray());
+    scene.add_model("pad", Model::pad(), &scene_from_tray());
+}
+
+/// Draws the table, 1 mm lower than the original has it: there its top is above the tray's floor.
+pub fn draw_table(scene: &mut Scene) {
+    let [x, y, z] = TABLE_ORIGIN;
+    scene.add_model("table", Model::table(), &frames::pose([x, y, z - 0.001], [0.0; 3]));
+}
+
 /// The pad on which objects lie, m.
 pub fn pad() -> Aabb {
     Model::pad().aabb(&scene_from_tray())
@@ -57,40 +71,57 @@ fn scene_from_tray() -> Pose {
 /// The 40 mm suture needle.
 #[derive(Debug, Clone)]
 pub struct Needle {
-    body: BodyId,
+    object: Object,
+    domain: Domain,
 }
 
 impl Needle {
     /// Mass under `preset = "surrol"`, kg. Source: the original.
     const SURROL_MASS: f64 = 0.01;
 
-    /// Puts a needle into the world.
-    pub fn insert(world: &mut World, preset: Preset) -> Self {
+    /// Its sizes with which experts do their work: the wire must fit the jaws, the arc the pad.
+    pub const SIZE: [f64; 2] = [0.8, 1.2];
+
+    /// Puts a needle into the world, whose mass and size episodes draw from `domain`.
+    pub fn insert(world: &mut World, preset: Preset, domain: Domain) -> Self {
         let model = Model::needle();
         let mass = match preset {
             Preset::Paper => model.mass,
             Preset::Surrol => Self::SURROL_MASS,
         };
-        let at = Self::resting(pad().centre().x, pad().centre().y, 0.0);
-        Self { body: model.insert(world, mass, &at) }
+        let at = resting(&model.scaled(1.0), pad().centre().x, pad().centre().y, 0.0);
+        Self { object: Object::insert(world, model, mass, &at), domain }
+    }
+
+    /// Draws this episode's mass and size, where they vary; the needle must be laid anew.
+    pub fn vary(&mut self, world: &mut World, rng: &Rng) {
+        if let Some(variation) = self.domain.draw_variation(rng) {
+            self.object.vary(world, variation);
+        }
+    }
+
+    /// Its shapes and frames in this episode.
+    pub fn form(&self) -> &Scaled<'static> {
+        self.object.form()
     }
 
     /// The body in the world.
     pub fn body(&self) -> BodyId {
-        self.body
+        self.object.body()
     }
 
     /// Lays the needle flat on the pad, at rest: `x` and `y` of the circle's centre, m, and turn
     /// about the vertical, rad.
     pub fn lay(&self, world: &mut World, x: f64, y: f64, yaw: f64) {
-        world.place(self.body, &Self::resting(x, y, yaw));
+        world.place(self.body(), &resting(self.form(), x, y, yaw));
     }
 
     /// Lays the needle flat, turned by up to 90° either way, anywhere that is wholly on the pad and
     /// in the workspace.
-    pub fn lay_anywhere(&self, world: &mut World, rng: &mut Rng) {
+    pub fn lay_anywhere(&mut self, world: &mut World, rng: &mut Rng) {
+        self.vary(world, rng);
         let yaw = rng.uniform(-FRAC_PI_2, FRAC_PI_2);
-        let outline = Model::needle().aabb(&frames::pose([0.0; 3], [0.0, 0.0, yaw]));
+        let outline = self.form().aabb(&frames::pose([0.0; 3], [0.0, 0.0, yaw]));
         let pad = pad();
         let mut along = |axis: usize| {
             let low = pad.min[axis].max(WORKSPACE.min[axis]) - outline.min[axis];
@@ -102,7 +133,8 @@ impl Needle {
 
     /// Lays the needle flat, turned by up to 90° either way, the centre of its circle within
     /// 10 mm of the workspace's along x and y.
-    pub fn lay_near_the_middle(&self, world: &mut World, rng: &mut Rng) {
+    pub fn lay_near_the_middle(&mut self, world: &mut World, rng: &mut Rng) {
+        self.vary(world, rng);
         let centre = WORKSPACE.centre();
         let x = centre.x + rng.uniform(-NARROW, NARROW);
         let y = centre.y + rng.uniform(-NARROW, NARROW);
@@ -110,16 +142,21 @@ impl Needle {
         self.lay(world, x, y, yaw);
     }
 
-    /// The middle of the arc, scene frame: x towards the centre of the arc, y along the wire.
-    pub fn scene_from_middle(&self, world: &World) -> Pose {
-        world.pose(self.body) * Model::needle().body_from("mid_arc")
+    /// Draws the needle.
+    pub fn draw(&self, world: &World, scene: &mut Scene) {
+        self.object.draw(world, "needle", scene);
     }
 
-    /// Where the needle touches the pad along its whole length.
-    fn resting(x: f64, y: f64, yaw: f64) -> Pose {
-        let below = Model::needle().aabb(&Pose::identity()).min.z;
-        frames::pose([x, y, pad().max.z - below], [0.0, 0.0, yaw])
+    /// The middle of the arc, scene frame: x towards the centre of the arc, y along the wire.
+    pub fn scene_from_middle(&self, world: &World) -> Pose {
+        world.pose(self.body()) * self.form().body_from("mid_arc")
     }
+}
+
+/// Where a needle touches the pad along its whole length.
+fn resting(needle: &Scaled, x: f64, y: f64, yaw: f64) -> Pose {
+    let below = needle.aabb(&Pose::identity()).min.z;
+    frames::pose([x, y, pad().max.z - below], [0.0, 0.0, yaw])
 }
 
 #[cfg(test)]
@@ -129,7 +166,7 @@ mod tests {
     #[test]
     fn a_needle_lies_on_pad_and_workspace_and_stays_where_it_is_laid() {
         let mut world = furnished_world(Preset::Paper);
-        let needle = Needle::insert(&mut world, Preset::Paper);
+        let mut needle = Needle::insert(&mut world, Preset::Paper, Domain::default());
         let mut rng = Rng::new(3, 0);
         for _ in 0..20 {
             needle.lay_anywhere(&mut world, &mut rng);

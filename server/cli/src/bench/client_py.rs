@@ -7,6 +7,7 @@ use std::time::Duration;
 use anyhow::{Context, bail};
 use serde_json::{Value, json};
 
+use super::pool::PoolFile;
 use super::{Job, Measured, Stopwatch};
 use crate::options;
 use crate::process::{OwnServer, PYTHON, Process, python};
@@ -47,7 +48,9 @@ impl PythonClient {
     /// Measures a job.
     pub(super) fn run(&mut self, server: &OwnServer, job: &Job) -> anyhow::Result<Measured> {
         let given = job.options.0.iter().map(|(name, value)| (name.clone(), options::json(value)));
+        let pool = job.pool.as_ref().map(|pool| pool.write()).transpose()?;
         let wanted = json!({
+            "actions": pool.as_ref().map(PoolFile::path),
             "task": job.task,
             "options": given.collect::<serde_json::Map<_, _>>(),
             "expert": job.policy.asks_expert(),

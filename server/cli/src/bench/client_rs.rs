@@ -4,17 +4,16 @@
 use std::sync::Barrier;
 use std::thread;
 
-use trocar_client::{Autoreset, CallError, Client, Reply, Session, SessionRequest};
+use trocar_client::{Autoreset, CallError, Client, Session, SessionRequest};
 
 use super::{Job, Measured, Stopwatch};
-use crate::policy::Actor;
 use crate::process::OwnServer;
 
-/// A session and who acts in it.
+/// A session, and the expert's actions in it.
 struct Player {
     session: Session,
-    actors: Vec<Actor>,
-    actions: Vec<f32>,
+    seeds: Vec<u64>,
+    expert: Vec<f32>,
 }
 
 impl Player {
@@ -27,23 +26,26 @@ impl Player {
             .options(job.options.clone());
         let mut session = client.open(&request)?;
         session.want_expert(job.policy.asks_expert());
-        let seeds = request.seed..request.seed + u64::from(job.envs);
-        let actors = seeds.map(|seed| job.policy.actor(seed)).collect();
-        let actions = vec![0.0; session.envs() * session.spec().action_dim()];
-        let mut player = Self { session, actors, actions };
+        let seeds = (request.seed..request.seed + u64::from(job.envs)).collect();
+        let expert = vec![0.0; session.envs() * session.spec().action_dim()];
+        let mut player = Self { session, seeds, expert };
         player.reset()?;
         Ok(player)
     }
 
     fn reset(&mut self) -> Result<(), CallError> {
-        let reply = self.session.reset()?;
-        act(&mut self.actors, &reply, &mut self.actions);
+        self.session.start_reset(None, Some(&self.seeds))?;
+        let reply = self.session.recv()?;
+        self.expert.copy_from_slice(reply.expert_action());
         Ok(())
     }
 
-    fn step(&mut self) -> Result<(), CallError> {
-        let reply = self.session.step(&self.actions)?;
-        act(&mut self.actors, &reply, &mut self.actions);
+    /// Steps by the actions of a round, or by the expert's.
+    fn step(&mut self, round: Option<&[f32]>) -> Result<(), CallError> {
+        let reply = self.session.step(round.unwrap_or(&self.expert))?;
+        if round.is_none() {
+            self.expert.copy_from_slice(reply.expert_action());
+        }
         Ok(())
     }
 }
@@ -57,11 +59,13 @@ pub(super) fn run(server: &OwnServer, job: &Job) -> anyhow::Result<Measured> {
     let mut players = (0..job.clients).map(open).collect::<Result<Vec<_>, _>>()?;
     let (ready, go) = (Barrier::new(players.len() + 1), Barrier::new(players.len() + 1));
     let work = |player: &mut Player| -> Result<u64, CallError> {
-        let warmed = job.warm_up(|| player.step()).and_then(|()| player.reset());
+        let actions = |round| job.pool.as_ref().map(|pool| pool.round(round));
+        let warmed = job.warm_up(|round| player.step(actions(round)));
+        let warmed = warmed.and_then(|()| player.reset());
         ready.wait();
         go.wait();
         warmed?;
-        Ok(job.rounds(|| player.step())? * u64::from(job.envs))
+        Ok(job.rounds(|round| player.step(actions(round)))? * u64::from(job.envs))
     };
     thread::scope(|scope| {
         let work = &work;
@@ -76,13 +80,4 @@ pub(super) fn run(server: &OwnServer, job: &Job) -> anyhow::Result<Measured> {
         let steps = clients.into_iter().map(join).sum::<Result<u64, CallError>>()?;
         watch?.stop(steps)
     })
-}
-
-/// Chooses the actions for the states of `reply`.
-fn act(actors: &mut [Actor], reply: &Reply, actions: &mut [f32]) {
-    let dim = actions.len() / actors.len();
-    let rows = actions.chunks_mut(dim).zip(reply.expert_action().chunks(dim));
-    for (actor, (action, expert)) in actors.iter_mut().zip(rows) {
-        actor.act(action, |action| action.copy_from_slice(expert));
-    }
 }

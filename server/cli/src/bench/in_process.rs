@@ -1,4 +1,5 @@
-//! Environments in this process: every thread steps its part of them, one after another.
+//! Environments in this process, those of all clients: every thread steps its part of them, one after
+//! another.
 
 use std::sync::Barrier;
 use std::thread;
@@ -7,20 +8,28 @@ use trocar_server::tasks::Registry;
 use trocar_server::{Env, StepError};
 
 use super::{Job, Measured, Stopwatch};
-use crate::policy::Actor;
 
-/// An environment and who acts in it.
+/// An environment, and the expert's actions in it.
 struct Player {
     env: Env,
-    actor: Actor,
+    seed: u64,
+    /// Its number in its session.
+    index: usize,
     action: Vec<f32>,
 }
 
 impl Player {
-    fn step(&mut self) -> Result<(), StepError> {
-        let Self { env, actor, action } = self;
-        actor.act(action, |action| env.expert(action));
-        match env.step(action) {
+    /// Steps by one of the actions of a round, or by the expert's.
+    fn step(&mut self, round: Option<&[f32]>) -> Result<(), StepError> {
+        let Self { env, index, action, .. } = self;
+        let dim = action.len();
+        let chosen = if let Some(round) = round {
+            &round[*index * dim..][..dim]
+        } else {
+            env.expert(action);
+            action
+        };
+        match env.step(chosen) {
             Ok(_) | Err(StepError::Simulation { .. }) => {}
             Err(error) => return Err(error),
         }
@@ -38,22 +47,28 @@ pub(super) fn run(registry: &Registry, job: &Job) -> anyhow::Result<Measured> {
     let player = |seed| {
         let mut env = env.clone();
         env.reset(Some(seed));
-        Player { env, actor: job.policy.actor(seed), action: action.clone() }
+        let index = (seed % u64::from(job.envs)) as usize;
+        Player { env, seed, index, action: action.clone() }
     };
-    let mut players: Vec<_> = (0..u64::from(job.envs)).map(player).collect();
-    let threads = job.threads.min(job.envs) as usize;
+    let count = job.envs * job.clients;
+    let mut players: Vec<_> = (0..u64::from(count)).map(player).collect();
+    let threads = job.threads.min(count) as usize;
     let share = players.len().div_ceil(threads);
     let shares = players.len().div_ceil(share);
     let (ready, go) = (Barrier::new(shares + 1), Barrier::new(shares + 1));
     let work = |players: &mut [Player]| -> Result<u64, StepError> {
-        let warmed = job.warm_up(|| players.iter_mut().try_for_each(Player::step));
+        let step = |players: &mut [Player], round| {
+            let actions = job.pool.as_ref().map(|pool| pool.round(round));
+            players.iter_mut().try_for_each(|player| player.step(actions))
+        };
+        let warmed = job.warm_up(|round| step(players, round));
         for player in players.iter_mut() {
-            player.env.reset(None);
+            player.env.reset(Some(player.seed));
         }
         ready.wait();
         go.wait();
         warmed?;
-        let rounds = job.rounds(|| players.iter_mut().try_for_each(Player::step))?;
+        let rounds = job.rounds(|round| step(players, round))?;
         Ok(rounds * players.len() as u64)
     };
     thread::scope(|scope| {

@@ -6,9 +6,6 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-POOL = 65_536
-"""Random actions are drawn before they are needed: so many of single environments, then again."""
-
 
 def main() -> None:
     """Measures whatever is asked for, until stdin ends."""
@@ -48,26 +45,34 @@ def measure(job: dict[str, Any], server: str) -> None:
 Made = tuple[Callable[[], None], Callable[[], None], int, Callable[[], None]]
 
 
-def single(job: dict[str, Any], server: str) -> Made:
-    """One environment, as most programs have it: without the time limit's wrapper."""
+def random_actions(job: dict[str, Any], shape: tuple[int, ...] | None) -> Any:
+    """The actions that the others take: (rounds, *shape); ``None`` where the expert acts."""
     import numpy as np
 
+    if job["actions"] is None:
+        return None
+    return np.fromfile(job["actions"], np.float32).reshape(-1, *(shape or ()))
+
+
+def single(job: dict[str, Any], server: str) -> Made:
+    """One environment, as most programs have it: without the time limit's wrapper."""
     import trocar
 
     env = trocar.TrocarEnv(job["task"], server=server, expert=job["expert"], **job["options"])
-    shape = (POOL, *(env.action_space.shape or ()))
-    pool = np.random.default_rng(0).uniform(-1, 1, shape).astype(np.float32)
+    pool = random_actions(job, env.action_space.shape)
     count = 0
 
     def step() -> None:
         nonlocal count
+        action = env.expert_action() if pool is None else pool[count % len(pool)]
         count += 1
-        action = env.expert_action() if job["expert"] else pool[count % len(pool)]
         _, _, terminated, truncated, _ = env.step(action)
         if terminated or truncated:
             env.reset()
 
     def reset() -> None:
+        nonlocal count
+        count = 0
         env.reset(seed=0)
 
     return step, reset, env.task_spec.max_steps, env.close
@@ -75,8 +80,6 @@ def single(job: dict[str, Any], server: str) -> Made:
 
 def vector(job: dict[str, Any], server: str) -> Made:
     """Many environments, which begin new episodes in the same step."""
-    import numpy as np
-
     import trocar
 
     envs = trocar.TrocarVectorEnv(
@@ -87,19 +90,19 @@ def vector(job: dict[str, Any], server: str) -> Made:
         expert=job["expert"],
         **job["options"],
     )
-    shape = (max(64, POOL // job["envs"]), *(envs.action_space.shape or ()))
-    pool = np.random.default_rng(0).uniform(-1, 1, shape).astype(np.float32)
+    pool = random_actions(job, envs.action_space.shape)
     count = 0
     infos: dict[str, Any] = {}
 
     def step() -> None:
         nonlocal count, infos
+        actions = infos["expert_action"] if pool is None else pool[count % len(pool)]
         count += 1
-        actions = infos["expert_action"] if job["expert"] else pool[count % len(pool)]
         *_, infos = envs.step(actions)
 
     def reset() -> None:
-        nonlocal infos
+        nonlocal count, infos
+        count = 0
         _, infos = envs.reset(seed=0)
 
     return step, reset, envs.task_spec.max_steps, envs.close

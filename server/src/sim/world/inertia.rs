@@ -22,6 +22,17 @@ pub struct Inertia {
 }
 
 impl Inertia {
+    /// A body of the same density, `size` times as large.
+    #[must_use]
+    pub fn with_size(self, size: f64) -> Self {
+        let volume = size * size * size;
+        Self {
+            mass: self.mass * volume,
+            centre: self.centre * size,
+            moments: self.moments * (volume * size * size),
+        }
+    }
+
     /// The same body of another density, so that it weighs `mass`, kg.
     #[must_use]
     pub fn with_mass(self, mass: f64) -> Self {

@@ -1,0 +1,45 @@
+//! Pictures of what is simulated: colour, depth and bodies, drawn without a display.
+//!
+//! | module | holds |
+//! |---|---|
+//! | [`scene`] | what there is to see: bodies, light, viewpoints |
+//! | [`camera`] | intrinsics, extrinsics, projection |
+//! | [`picture`] | what was seen |
+//! | [`mesh`], [`material`] | forms and looks, from `assets/` |
+//! | [`skeleton`] | the links of an arm from its URDF |
+//! | [`software`] | the renderer: [`project`] and [`raster`] find what each pixel shows, [`shadow`] what the lamp reaches, [`shade`] the colours |
+//!
+//! The same scene and camera give the same bytes whatever draws them and however many threads do.
+
+pub mod camera;
+pub mod material;
+pub mod mesh;
+pub mod picture;
+mod project;
+mod raster;
+pub mod scene;
+mod shade;
+mod shadow;
+pub mod skeleton;
+pub mod software;
+
+pub use camera::{Camera, Intrinsics, Viewpoint};
+pub use picture::{Canvas, Picture};
+pub use scene::{Lens, Scene};
+pub use software::Software;
+
+/// What draws pictures.
+pub trait Renderer: Send + Sync {
+    /// Draws what the camera sees of the scene.
+    ///
+    /// # Panics
+    /// Where the canvas does not have the camera's size.
+    fn render(&self, scene: &Scene, camera: &Camera, canvas: Canvas<'_>);
+
+    /// A whole picture of it.
+    fn picture(&self, scene: &Scene, camera: &Camera) -> Picture {
+        let mut picture = Picture::new(camera.intrinsics.width, camera.intrinsics.height);
+        self.render(scene, camera, picture.canvas());
+        picture
+    }
+}

@@ -1,0 +1,294 @@
+//! What colour eight pixels have: a lamp with its shadow, light from all around, and what shines back of
+//! both.
+//!
+//! The surface is the usual mixture of a matt one and one of tiny mirrors (Walter et al., *Microfacet models
+//! for refraction through rough surfaces*, 2007, with the distribution GGX; Schlick's Fresnel term; Karis'
+//! approximation of what a uniform sky sends back, *Physically based shading on mobile*, 2014). What mirrors
+//! show of the theatre is a sky that brightens about the lamp, above a darker floor.
+
+use std::sync::LazyLock;
+
+use wide::f32x8;
+
+use super::camera::Camera;
+use super::material;
+use super::project::Faces;
+use super::raster::{LANES, STEPS, Tile};
+use super::scene::Scene;
+use super::shadow::ShadowMap;
+
+/// Numbers of eight pixels.
+type Eight = f32x8;
+
+/// Red, green, blue or x, y, z of eight pixels.
+pub(super) type Triple = [f32x8; 3];
+
+/// What shading needs of a scene and a camera.
+pub(super) struct Shader<'a> {
+    scene: &'a Scene,
+    faces: &'a Faces,
+    shadow: Option<&'a ShadowMap>,
+    /// The direction of pixel (x, y) is the first plus x times the second plus y times the third.
+    ray: [[f32; 3]; 3],
+    eye: [f32; 3],
+    lamp: [f32; 3],
+}
+
+impl<'a> Shader<'a> {
+    pub(super) fn new(
+        scene: &'a Scene,
+        camera: &Camera,
+        faces: &'a Faces,
+        shadow: Option<&'a ShadowMap>,
+    ) -> Self {
+        let turn = camera.world_from_camera.rotation;
+        let vector = |vector: nalgebra::Vector3<f64>| [0, 1, 2].map(|axis| vector[axis] as f32);
+        let start = camera.ray(0.0, 0.0);
+        let (right, down) = (camera.ray(1.0, 0.0) - start, camera.ray(0.0, 1.0) - start);
+        Self {
+            scene,
+            faces,
+            shadow,
+            ray: [vector(turn * start), vector(turn * right), vector(turn * down)],
+            eye: vector(camera.world_from_camera.translation.vector),
+            lamp: vector(scene.light.direction),
+        }
+    }
+
+    /// The light that eight pixels of a tile get: linear, 0 to 1.
+    pub(super) fn colours(&self, tile: &Tile, row: usize, group: usize) -> Triple {
+        let numbers = tile.faces(row, group);
+        let background = self.scene.background.map(Eight::splat);
+        if numbers == [0; LANES] {
+            return background;
+        }
+        let column = tile.origin[0] + group * LANES;
+        let (x, y) = (column as f32, (tile.origin[1] + row) as f32);
+        let depth = Eight::splat(1.0) / tile.keys(row, group);
+        let surface = self.surface(&numbers, x, y, depth);
+        let columns = Eight::splat(x) + STEPS;
+        let ray: Triple = std::array::from_fn(|axis| {
+            Eight::splat(self.ray[0][axis])
+                + Eight::splat(self.ray[1][axis]) * columns
+                + Eight::splat(self.ray[2][axis] * y)
+        });
+        let place = std::array::from_fn(|axis| Eight::splat(self.eye[axis]) + ray[axis] * depth);
+        let lit = self.lit(&surface, &ray, place);
+        let seen = Eight::new(numbers.map(|number| if number > 0 { 1.0 } else { 0.0 }));
+        let seen = seen.simd_gt(Eight::splat(0.5));
+        std::array::from_fn(|channel| seen.bitselect(lit[channel], background[channel]))
+    }
+
+    /// The surfaces that eight pixels show. Those without one get some other's.
+    fn surface(&self, numbers: &[u32; LANES], x: f32, y: f32, depth: Eight) -> Surface {
+        if numbers[0] > 0 && *numbers == [numbers[0]; LANES] {
+            return self.one_surface(numbers[0] - 1, x, y, depth);
+        }
+        let mut surface = Gathered::default();
+        let depth = depth.to_array();
+        let normals = &self.faces.normals;
+        for lane in 0..LANES {
+            let Some(number) = numbers[lane].checked_sub(1) else { continue };
+            let face = &self.faces.faces[number as usize];
+            let x = x + lane as f32;
+            let scale = face.over_area * depth[lane];
+            let weight = |corner: usize| {
+                let [a, b, c] = face.edges[corner];
+                let key = self.faces.key[face.vertices[corner] as usize];
+                (a * x + b * y + c) * scale * key
+            };
+            let weights = [weight(0), weight(1), weight(2)];
+            let [i, j, k] = face.vertices.map(|vertex| vertex as usize);
+            for (axis, along) in normals.iter().enumerate() {
+                surface.normal[axis][lane] =
+                    along[i] * weights[0] + along[j] * weights[1] + along[k] * weights[2];
+            }
+            let material = &self.scene.instances()[face.instance as usize].material;
+            for channel in 0..3 {
+                surface.colour[channel][lane] = material.colour[channel];
+            }
+            surface.metallic[lane] = material.metallic;
+            surface.roughness[lane] = material.roughness;
+        }
+        Surface {
+            normal: unit(surface.normal.map(Eight::new)),
+            colour: surface.colour.map(Eight::new),
+            metallic: Eight::new(surface.metallic),
+            roughness: Eight::new(surface.roughness),
+        }
+    }
+
+    /// The surface where eight pixels show the same face.
+    fn one_surface(&self, number: u32, x: f32, y: f32, depth: Eight) -> Surface {
+        let face = &self.faces.faces[number as usize];
+        let material = &self.scene.instances()[face.instance as usize].material;
+        let columns = Eight::splat(x) + STEPS;
+        let scale = depth * Eight::splat(face.over_area);
+        let weights: Triple = std::array::from_fn(|corner| {
+            let [a, b, c] = face.edges[corner];
+            let key = self.faces.key[face.vertices[corner] as usize];
+            (Eight::splat(a) * columns + Eight::splat(b * y + c)) * (scale * Eight::splat(key))
+        });
+        let normal = self.faces.normals.each_ref().map(|along| {
+            let of = |corner: usize| Eight::splat(along[face.vertices[corner] as usize]);
+            of(0) * weights[0] + of(1) * weights[1] + of(2) * weights[2]
+        });
+        Surface {
+            normal: unit(normal),
+            colour: material.colour.map(Eight::splat),
+            metallic: Eight::splat(material.metallic),
+            roughness: Eight::splat(material.roughness),
+        }
+    }
+
+    fn lit(&self, surface: &Surface, ray: &Triple, place: Triple) -> Triple {
+        let number = Eight::splat;
+        let (zero, one) = (number(0.0), number(1.0));
+        let normal = surface.normal;
+        let view = unit(ray.map(|part| -part));
+        let lamp = self.lamp.map(Eight::splat);
+        let facing_lamp = dot(&normal, &lamp).max(zero);
+        let facing_view = dot(&normal, &view).max(number(1e-3));
+
+        // The mirrors: how many face half-way, how many hide each other, how much each reflects.
+        let half = unit(std::array::from_fn(|axis| lamp[axis] + view[axis]));
+        let facing_half = dot(&normal, &half).max(zero);
+        let alpha = surface.roughness * surface.roughness;
+        let squared = alpha * alpha;
+        let spread = facing_half * facing_half * (squared - one) + one;
+        let facing = squared / (spread * spread); // times 1/π, which the lamp's brightness holds
+        let k = alpha * number(0.5);
+        let hidden = (facing_view * (one - k) + k) * (facing_lamp * (one - k) + k);
+        let glint = facing * number(0.25) / hidden;
+        let grazing = one - dot(&view, &half).max(zero);
+        let grazing = grazing * grazing * grazing * grazing * grazing;
+
+        let shadow = match self.shadow {
+            Some(map) if facing_lamp.simd_gt(zero).any() => map.light(place, normal),
+            _ => one,
+        };
+        let lamp_part = facing_lamp * shadow;
+
+        // What the theatre sends back, by Karis' fit.
+        let (rough, facing_view) = (surface.roughness, facing_view);
+        let r = [
+            one - rough,
+            number(0.0425) - number(0.0275) * rough,
+            number(1.04) - number(0.572) * rough,
+            number(0.022) * rough - number(0.04),
+        ];
+        let fade = fifth_power_of_two(facing_view * number(-9.28));
+        let a = (r[0] * r[0]).min(fade) * r[0] + r[1];
+        let (mirror_scale, mirror_shift) = (number(-1.04) * a + r[2], number(1.04) * a + r[3]);
+        let reflected = {
+            let twice = number(2.0) * dot(&normal, &view);
+            let direction: Triple = std::array::from_fn(|axis| normal[axis] * twice - view[axis]);
+            self.theatre(&direction, &lamp, rough)
+        };
+        let up = number(0.5) + number(0.5) * normal[2];
+
+        let light = &self.scene.light;
+        std::array::from_fn(|channel| {
+            let colour = surface.colour[channel];
+            let base = number(0.04) + (colour - number(0.04)) * surface.metallic;
+            let matt = colour * (one - surface.metallic);
+            let fresnel = base + (one - base) * grazing;
+            let ground = number(light.ground[channel]);
+            let around = ground + (number(light.sky[channel]) - ground) * up;
+            let lamp = number(light.lamp[channel]) * lamp_part;
+            let mirrored = reflected[channel] * (base * mirror_scale + mirror_shift);
+            let sum = matt * (lamp + around) + lamp * glint * fresnel + mirrored;
+            shoulder(sum)
+        })
+    }
+
+    /// What comes from a direction of the theatre: floor, walls and ceiling, and a wide bright field about
+    /// the lamp, whose edge is as soft as the surface is rough.
+    fn theatre(&self, direction: &Triple, lamp: &Triple, rough: Eight) -> Triple {
+        let number = Eight::splat;
+        let light = &self.scene.light;
+        let height = direction[2];
+        // From the floor (−1) over the horizon to the ceiling.
+        let rise = smooth((height + number(0.25)) * (one_over(number(0.3) + rough)));
+        let field = dot(direction, lamp) - number(0.55) + rough * number(0.2);
+        let field = smooth(field * one_over(number(0.12) + number(0.6) * rough));
+        let glow = number(0.95) - number(0.55) * rough;
+        std::array::from_fn(|channel| {
+            let ground = number(light.ground[channel] * 0.9);
+            let sky = number(light.sky[channel] * 1.5);
+            ground + (sky - ground) * rise + field * glow * number(light.lamp[channel])
+        })
+    }
+}
+
+/// A surface under eight pixels.
+struct Surface {
+    normal: Triple,
+    colour: Triple,
+    metallic: Eight,
+    roughness: Eight,
+}
+
+/// What is read of it, pixel by pixel.
+struct Gathered {
+    normal: [[f32; LANES]; 3],
+    colour: [[f32; LANES]; 3],
+    metallic: [f32; LANES],
+    roughness: [f32; LANES],
+}
+
+impl Default for Gathered {
+    fn default() -> Self {
+        let zero = [0.0; LANES];
+        let up = [zero, zero, [1.0; LANES]];
+        Self { normal: up, colour: [zero; 3], metallic: zero, roughness: [1.0; LANES] }
+    }
+}
+
+fn dot(a: &Triple, b: &Triple) -> Eight {
+    a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+}
+
+fn unit(vector: Triple) -> Triple {
+    let scale = Eight::splat(1.0) / dot(&vector, &vector).max(Eight::splat(1e-12)).sqrt();
+    vector.map(|part| part * scale)
+}
+
+fn one_over(number: Eight) -> Eight {
+    Eight::splat(1.0) / number
+}
+
+/// 0 below 0, 1 above 1, and no edge in between.
+fn smooth(number: Eight) -> Eight {
+    let t = number.max(Eight::splat(0.0)).min(Eight::splat(1.0));
+    t * t * (Eight::splat(3.0) - Eight::splat(2.0) * t)
+}
+
+/// Roughly 2 to the power of a number from −9.28 to 0: (1 + n·ln 2 / 16)^16.
+fn fifth_power_of_two(number: Eight) -> Eight {
+    let t = Eight::splat(1.0) + number * Eight::splat(std::f32::consts::LN_2 / 16.0);
+    let t = t * t;
+    let t = t * t;
+    let t = t * t;
+    t * t
+}
+
+/// Light as a picture can show it: the same up to 0.7, then ever less, below 1.
+fn shoulder(light: Eight) -> Eight {
+    let bright =
+        Eight::splat(1.0) - Eight::splat(0.09) / (light - Eight::splat(0.4)).max(Eight::splat(0.3));
+    light.simd_gt(Eight::splat(0.7)).bitselect(bright, light)
+}
+
+/// The byte for a part of the light, 0 to 1.
+pub(super) fn byte(light: f32) -> u8 {
+    const STEPS: usize = 4096;
+    static BYTES: LazyLock<[u8; STEPS]> = LazyLock::new(|| {
+        std::array::from_fn(|step| {
+            let light = step as f32 / (STEPS - 1) as f32;
+            (material::stored(light) * 255.0 + 0.5) as u8
+        })
+    });
+    let step = light * (STEPS - 1) as f32 + 0.5;
+    BYTES[(step as usize).min(STEPS - 1)]
+}

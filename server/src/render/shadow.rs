@@ -1,0 +1,174 @@
+//! Where the lamp's light is stopped: the depth of the nearest surface from the lamp, in a square picture of
+//! the stage.
+
+use nalgebra::{Matrix3, Point3, Rotation3, UnitQuaternion, Vector3};
+use wide::f32x8;
+
+use super::camera::Camera;
+use super::project::{Faces, Projection};
+use super::raster::{Bins, LANES, TILE, Tile};
+use super::scene::Scene;
+use crate::sim::frames::{Aabb, Pose};
+
+/// How far surfaces are taken to be above themselves, in pixels of the shadow map: what is smaller than a
+/// pixel does not shade itself.
+const OFFSET: f64 = 1.6;
+
+/// The key of where nothing stops the light.
+const NOTHING: f32 = f32::NEG_INFINITY;
+
+/// The lamp's picture. Kept from picture to picture for its memory.
+#[derive(Debug, Default)]
+pub(super) struct ShadowMap {
+    /// Pixels along each side.
+    size: usize,
+    /// Keys of the nearest surfaces; minus the depth from the lamp.
+    keys: Vec<f32>,
+    faces: Faces,
+    bins: Bins,
+    lookup: Lookup,
+}
+
+/// How places of the world lie in the map.
+#[derive(Debug, Default, Clone, Copy)]
+struct Lookup {
+    /// Rows for column, row and key: of x, y, z, 1 in m of the world.
+    rows: [[f32; 4]; 3],
+    /// Distance by which surfaces are raised along their normal, m.
+    raised: f32,
+}
+
+impl ShadowMap {
+    /// Draws what the lamp sees of what `camera` can see of the stage. `size` is a multiple of [`TILE`].
+    pub(super) fn draw(&mut self, scene: &Scene, camera: &Camera, size: usize, tile: &mut Tile) {
+        self.size = size;
+        let lamp_from_world = lamp_from_world(&scene.light.direction);
+        let region = region(scene, camera, &lamp_from_world);
+        let (middle, extents) = (region.centre(), region.extents());
+        // A little more than the region, so that the edges can be blurred.
+        let pixel = extents.x.max(extents.y) / (size as f64 - 4.0);
+        let half = 0.5 * size as f64 - 0.5;
+        let projection = Projection {
+            size: [size; 2],
+            scale: [(1.0 / pixel) as f32; 2],
+            centre: [half as f32; 2],
+            near: None,
+        };
+        let shift = Vector3::new(middle.x, middle.y, region.min.z);
+        let lamp_from_world = Pose::from(-shift) * lamp_from_world;
+        self.faces.clear();
+        for (number, instance) in scene.instances().iter().enumerate() {
+            let lamp_from_mesh = lamp_from_world * instance.world_from_mesh;
+            let (centre, radius) = instance.ball();
+            let centre = lamp_from_mesh * centre;
+            let reach = half * pixel + radius;
+            if centre.x.abs() < reach && centre.y.abs() < reach {
+                let view = rows(&lamp_from_mesh, instance.size);
+                self.faces.add(&instance.mesh, number as u32, &view, None, &projection);
+            }
+        }
+        self.bins.sort(projection.size, &self.faces.faces);
+        self.keys.clear();
+        self.keys.resize(size * size, NOTHING);
+        for index in 0..self.bins.len() {
+            let (origin, list) = self.bins.tile(index);
+            if list.is_empty() {
+                continue;
+            }
+            tile.clear(origin, NOTHING);
+            for number in list {
+                tile.draw(&self.faces.faces, *number);
+            }
+            for row in 0..TILE {
+                let line = &mut self.keys[(origin[1] + row) * size + origin[0]..][..TILE];
+                for (group, eight) in line.chunks_exact_mut(LANES).enumerate() {
+                    eight.copy_from_slice(tile.keys(row, group).as_array());
+                }
+            }
+        }
+        let world = rows(&lamp_from_world, 1.0);
+        let to_pixel = |row: [f32; 4]| {
+            let mut row = row.map(|number| number * (1.0 / pixel) as f32);
+            row[3] += half as f32;
+            row
+        };
+        self.lookup = Lookup {
+            rows: [to_pixel(world[0]), to_pixel(world[1]), world[2].map(|number| -number)],
+            raised: (OFFSET * pixel) as f32,
+        };
+    }
+
+    /// How much of the lamp's light reaches eight places (m) with these unit normals: 0 to 1.
+    pub(super) fn light(&self, place: [f32x8; 3], normal: [f32x8; 3]) -> f32x8 {
+        let raised = f32x8::splat(self.lookup.raised);
+        let [x, y, z] = [0, 1, 2].map(|axis| place[axis] + normal[axis] * raised);
+        let [columns, lines, keys] = self.lookup.rows.map(|[a, b, c, d]| {
+            f32x8::splat(a) * x + f32x8::splat(b) * y + f32x8::splat(c) * z + f32x8::splat(d)
+        });
+        let last = self.size as f32 - 2.5;
+        let (columns, lines, keys) = (columns.to_array(), lines.to_array(), keys.to_array());
+        f32x8::new(std::array::from_fn(|lane| {
+            let (column, line, key) = (columns[lane], lines[lane], keys[lane]);
+            let is_inside = column > 1.5 && column < last && line > 1.5 && line < last;
+            if is_inside { self.blurred(column, line, key) } else { 1.0 }
+        }))
+    }
+
+    /// The part of the nine pixels about a place that let light pass to a surface of this key; the outer ones
+    /// count as far as the place is near to them.
+    fn blurred(&self, column: f32, line: f32, key: f32) -> f32 {
+        let (column, line) = (column - 0.5, line - 0.5);
+        let (left, top) = (column as usize, line as usize);
+        let (right_part, low_part) = (column - left as f32, line - top as f32);
+        let weights = |part: f32| [1.0 - part, 1.0, part];
+        let across = weights(right_part);
+        let mut sum = 0.0;
+        for (index, weight) in weights(low_part).into_iter().enumerate() {
+            let three = &self.keys[(top + index) * self.size + left..][..3];
+            let passes = |index: usize| if three[index] <= key { across[index] } else { 0.0 };
+            sum += weight * (passes(0) + passes(1) + passes(2));
+        }
+        sum * 0.25
+    }
+}
+
+/// The lamp's axes: z along its rays.
+fn lamp_from_world(towards_lamp: &Vector3<f64>) -> Pose {
+    let z = -towards_lamp.normalize();
+    let x = Vector3::y().cross(&z).try_normalize(1e-6).unwrap_or_else(Vector3::x);
+    let axes = Matrix3::from_columns(&[x, z.cross(&x), z]).transpose();
+    let turn = UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(axes));
+    Pose::from_parts(Vector3::zeros().into(), turn)
+}
+
+/// The box around what the camera can see of the stage, in the lamp's axes; some of it where that is nothing.
+fn region(scene: &Scene, camera: &Camera, lamp_from_world: &Pose) -> Aabb {
+    let stage = Aabb::around(scene.stage.corners().map(|corner| lamp_from_world * corner));
+    let corners: Vec<_> = scene.stage.corners().collect();
+    let depths = corners.iter().map(|corner| {
+        camera.world_from_camera.inverse_transform_point(corner).z.clamp(camera.near, camera.far)
+    });
+    let (least, most) =
+        depths.fold((camera.far, camera.near), |(least, most), z| (z.min(least), z.max(most)));
+    let (right, low) = (camera.intrinsics.width as f64, camera.intrinsics.height as f64);
+    let seen = [least, most].into_iter().flat_map(|depth| {
+        [(0.0, 0.0), (right, 0.0), (0.0, low), (right, low)].map(|(column, row)| {
+            let point: Point3<f64> = camera.back_project(column - 0.5, row - 0.5, depth);
+            lamp_from_world * point
+        })
+    });
+    let seen = Aabb::around(seen);
+    let both = Aabb { min: stage.min.sup(&seen.min), max: stage.max.inf(&seen.max) };
+    let is_empty = (0..3).any(|axis| both.min[axis] >= both.max[axis]);
+    if is_empty { stage } else { both }
+}
+
+/// A pose as rows of numbers for the vertices of a mesh that is `size` times as large.
+pub(super) fn rows(pose: &Pose, size: f64) -> [[f32; 4]; 3] {
+    let matrix = pose.rotation.to_rotation_matrix();
+    let shift = pose.translation.vector;
+    std::array::from_fn(|row| {
+        let of = |column: usize| (matrix[(row, column)] * size) as f32;
+        [of(0), of(1), of(2), shift[row] as f32]
+    })
+}
