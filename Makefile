@@ -80,13 +80,6 @@ test-python: develop ## * Python with the newest Gymnasium: types, stubs, tests
 	cd client-py && $(BIN)/mypy && for worker in demo bench load; do $(BIN)/mypy ../server/cli/src/$$worker/worker.py; done
 	cd client-py && TROCAR_BINARY=$(TARGET)/debug/trocar $(BIN)/python -m pytest
 
-# A package of its own, so that nothing else waits for the library that it learns with.
-.PHONY: test-train
-test-train: ## a Rust trainer (client-rs/examples/train_reach): its tests, then it learns NeedleReach
-	$(CARGO) build --locked -p trocar
-	cd client-rs/examples/train_reach && $(CARGO) fmt --check && $(CARGO) test --release --locked
-	cd client-rs/examples/train_reach && $(RL_TEST) $(CARGO) run --release --locked
-
 .PHONY: test-wheels
 test-wheels: $(VENV)/ready ## * both wheels with the oldest Gymnasium, without Rust on the PATH
 	rm -rf $(TARGET)/test-wheels
