@@ -19,6 +19,8 @@ pub(crate) struct Row {
     pub(crate) episode: u64,
     /// What the scripted expert would do.
     pub(crate) expert: Vec<u32>,
+    /// What it is about.
+    pub(crate) stage: u8,
     /// Observation and goals of the episode that a same-step autoreset replaced.
     pub(crate) last: Option<[Vec<u32>; 3]>,
 }
@@ -47,6 +49,7 @@ impl Row {
             seed: reply.seed()[row],
             episode: reply.episode()[row],
             expert: part(reply.expert_action(), spec.action_dim()),
+            stage: reply.expert_stage()[row],
             last: ended.then(|| {
                 [
                     part(reply.final_observation(), seen),

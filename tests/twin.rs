@@ -120,6 +120,7 @@ fn show(env: &Env, step: Option<Step>, last: Option<[Vec<u32>; 3]>) -> Row {
         seed: env.seed(),
         episode: env.episode(),
         expert: bits(&expert),
+        stage: env.stage() as u8,
         last,
     }
 }

@@ -12,6 +12,7 @@ mod spec;
 mod wait;
 
 use pyo3::prelude::*;
+use pyo3::types::PyTuple;
 
 /// The module; its Python side is documented in `_trocar.pyi`.
 #[pymodule]
@@ -19,6 +20,8 @@ fn _trocar(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add("__version__", env!("CARGO_PKG_VERSION"))?;
     module.add("PRIVATE_SERVER", trocar_client::private::VARIABLE)?;
     module.add("BINARY", trocar_client::private::BINARY)?;
+    let stages = trocar_client::proto::Stage::ALL.map(trocar_client::proto::Stage::name);
+    module.add("STAGES", PyTuple::new(module.py(), stages)?)?;
     module.add_class::<client::Client>()?;
     module.add_class::<session::Session>()?;
     module.add_class::<session::Reply>()?;

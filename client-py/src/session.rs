@@ -396,6 +396,10 @@ impl Reply {
         images(slf, [R::final_depth, R::final_points], R::final_rgb, R::final_mask, copy)
     }
 
+    fn expert_stage<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<u8>> {
+        PyArray1::from_slice(py, self.inner().expert_stage())
+    }
+
     fn reward<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<f32>> {
         PyArray1::from_slice(py, self.inner().reward())
     }
@@ -461,11 +465,14 @@ impl Reply {
         let acted = inner.steps().iter().map(|steps| !next_step || *steps > 0);
         infos.set_item(intern!(py, "_is_success"), PyArray1::from_iter(py, acted))?;
         let eventful = inner.steps().contains(&0) || inner.fault().iter().any(|code| *code != 0);
-        let everyone = expert.then(|| PyArray1::from_iter(py, repeat_n(true, inner.rows())));
+        let rows = inner.rows();
         drop(inner);
-        if let Some(everyone) = everyone {
+        if expert {
+            let everyone = || PyArray1::from_iter(py, repeat_n(true, rows));
             infos.set_item(intern!(py, "expert_action"), Self::expert_action(slf, true)?)?;
-            infos.set_item(intern!(py, "_expert_action"), everyone)?;
+            infos.set_item(intern!(py, "expert_stage"), reply.expert_stage(py))?;
+            infos.set_item(intern!(py, "_expert_action"), everyone())?;
+            infos.set_item(intern!(py, "_expert_stage"), everyone())?;
         }
         let (terminated, truncated) = (reply.terminated(py), reply.truncated(py));
         Ok((observation, reply.reward(py), terminated, truncated, infos, eventful))

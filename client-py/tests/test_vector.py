@@ -121,6 +121,27 @@ def test_rows_do_not_depend_on_how_many_there_are(task: str, server: str) -> Non
     one.close()
 
 
+def test_the_expert_says_what_it_is_about(server: str) -> None:
+    envs = make_vec("GauzeRetrieve-v0", server, 3, autoreset_mode="disabled", expert=True)
+    single = trocar.TrocarEnv("GauzeRetrieve-v0", server=server, expert=True)
+    _, infos = envs.reset(seed=4)
+    _, info = single.reset(seed=5)
+    seen: list[set[str]] = [set() for _ in range(3)]
+    for _ in range(50):
+        assert infos["_expert_stage"].all()
+        assert info["expert_stage"] == infos["expert_stage"][1]
+        for stages, stage in zip(seen, infos["expert_stage"], strict=True):
+            stages.add(trocar.STAGES[stage])
+        *_, info = single.step(info["expert_action"])
+        *_, infos = envs.step(infos["expert_action"])
+    assert seen == [{"approach", "pick", "lift", "carry"}] * 3
+    envs.close()
+    single.close()
+    envs = make_vec("GauzeRetrieve-v0", server, 2)
+    assert "expert_stage" not in envs.reset(seed=0)[1]
+    envs.close()
+
+
 def test_the_expert_succeeds_on_every_seed(goal_task: str, server: str) -> None:
     envs = make_vec(goal_task, server, 200, autoreset_mode="disabled", expert=True)
     _, infos = envs.reset(seed=0)

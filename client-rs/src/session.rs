@@ -692,4 +692,10 @@ impl Reply {
     pub fn final_points(&self) -> &[f32] {
         self.layout.final_points.view(self.raw.payload(), self.rows())
     }
+
+    /// The [`trocar_proto::Stage`] that the expert is in there, by number (rows); zeros unless
+    /// [`Session::want_expert`] was set.
+    pub fn expert_stage(&self) -> &[u8] {
+        self.layout.expert_stage.view(self.raw.payload(), self.rows())
+    }
 }

@@ -7,6 +7,7 @@
 //! | [`wire`] | frequent messages: step and reset as plain arrays in shared memory |
 //! | [`spec`] | what a task looks like: actions, observations, goals, options |
 //! | [`goal`] | distance, success and reward as pure functions of goals |
+//! | [`stage`] | what a scripted expert is about |
 //! | [`snapshot`] | the state of an environment as bytes |
 //! | [`error`] | refusals: the field, its value and what is allowed |
 //!
@@ -31,10 +32,12 @@ pub mod error;
 pub mod goal;
 pub mod snapshot;
 pub mod spec;
+pub mod stage;
 pub mod wire;
 
 pub use error::{Code, Rejection};
 pub use spec::{OptionValue, Options, TaskSpec};
+pub use stage::Stage;
 
 /// Version of everything in this crate; both sides must have the same.
 pub const PROTOCOL_VERSION: u32 = 3;

@@ -39,7 +39,8 @@ pub mod kind {
 
 /// Bits of [`Header::flags`].
 pub mod flag {
-    /// Request: the reply shall carry the scripted expert's action for the state it returns.
+    /// Request: the reply shall carry the scripted expert's action, and its stage, for the state
+    /// it returns.
     pub const WANT_EXPERT: u32 = 1;
     /// Reset request: the numbers are seeds; otherwise each environment goes on to the next
     /// episode of its seed.
@@ -208,6 +209,8 @@ pub struct ReplyLayout {
     pub final_desired_goal: Region,
     /// f32 (rows, action dim): the scripted expert's action for the returned state, if wanted.
     pub expert_action: Region,
+    /// u8 (rows): the [`crate::Stage`] that the expert is in there, if wanted.
+    pub expert_stage: Region,
     /// u64 (rows): the numbers of snapshots that were taken.
     pub snapshot: Region,
     /// u8 (rows, views · height · width · 3): red, green, blue.
@@ -253,6 +256,7 @@ impl ReplyLayout {
             final_achieved_goal: plan.region::<f32>(goal),
             final_desired_goal: plan.region::<f32>(goal),
             expert_action: plan.region::<f32>(spec.action_dim()),
+            expert_stage: plan.region::<u8>(1),
             snapshot: plan.region::<u64>(1),
             rgb: plan.region::<u8>(rgb),
             depth: plan.region::<f32>(depth),
@@ -329,6 +333,7 @@ mod tests {
                 layout.final_achieved_goal,
                 layout.final_desired_goal,
                 layout.expert_action,
+                layout.expert_stage,
                 layout.snapshot,
                 layout.rgb,
                 layout.depth,

@@ -23,7 +23,7 @@ use std::sync::Arc;
 
 use trocar_proto::goal::Reward;
 use trocar_proto::snapshot::{self, Recipe};
-use trocar_proto::{Code, Options, Rejection, TaskSpec};
+use trocar_proto::{Code, Options, Rejection, Stage, TaskSpec};
 
 use crate::error::StepError;
 use crate::render::Scene;
@@ -390,6 +390,11 @@ impl Env {
         for number in action {
             *number = number.clamp(-1.0, 1.0);
         }
+    }
+
+    /// What the scripted expert is about in the present state.
+    pub fn stage(&self) -> Stage {
+        self.task.stage(&self.world)
     }
 
     fn check(&self, action: &[f32]) -> Result<(), Rejection> {

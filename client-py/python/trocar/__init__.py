@@ -17,7 +17,7 @@ False
 
 from trocar import errors
 from trocar._connection import status
-from trocar._trocar import Element, OptionSpec, TaskSpec, __version__
+from trocar._trocar import STAGES, Element, OptionSpec, TaskSpec, __version__
 from trocar.env import TrocarEnv
 from trocar.errors import Reconnected, ServerLost, TrocarError
 from trocar.registration import register, register_all
@@ -26,6 +26,7 @@ from trocar.snapshot import Snapshot
 from trocar.vector import TrocarVectorEnv
 
 __all__ = [
+    "STAGES",
     "Element",
     "OptionSpec",
     "Reconnected",

@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 __all__ = [
     "BINARY",
     "PRIVATE_SERVER",
+    "STAGES",
     "Client",
     "Element",
     "ImageSpec",
@@ -30,6 +31,7 @@ __all__ = [
 __version__: str
 PRIVATE_SERVER: str
 BINARY: str
+STAGES: tuple[str, ...]
 
 def new_identity() -> str:
     """A name for a private server that nobody else has, with this process as its root."""
@@ -165,6 +167,8 @@ class Reply:
         """Its desired goal."""
     def expert_action(self, copy: bool = True) -> NDArray[np.float32]:
         """The expert's action for the returned state; zeros unless it was wanted."""
+    def expert_stage(self) -> NDArray[np.uint8]:
+        """What the scripted expert is about there, by number in ``STAGES``: (rows)."""
     def reward(self) -> NDArray[np.float32]:
         """Reward of the transition: (rows); 0 for a reset."""
     def terminated(self) -> NDArray[np.bool_]:

@@ -69,7 +69,8 @@ class TrocarEnv(GoalFunctions, gym.Env[Observation, NDArray[np.float32]]):
             task: Task id without namespace, e.g. ``NeedleReach-v0``.
             server: Name of the server; ``None`` for ``$TROCAR_SERVER``, else a private one.
             render_mode: ``None``.
-            expert: Whether ``info["expert_action"]`` shall hold the scripted expert's action.
+            expert: Whether ``info["expert_action"]`` shall hold the scripted expert's action, and
+                ``info["expert_stage"]`` what it is about, by number in ``trocar.STAGES``.
             copy: With ``False``, observations are read-only views of shared memory, valid until
                 the next step but one.
             reconnect: Whether to survive the loss of the server: for how many seconds another of
@@ -179,6 +180,7 @@ class TrocarEnv(GoalFunctions, gym.Env[Observation, NDArray[np.float32]]):
         if self._connection.expert:
             self._expert_action = reply.expert_action()[0]
             info["expert_action"] = self._expert_action.copy()
+            info["expert_stage"] = int(reply.expert_stage()[0])
         return shown({name: rows[0] for name, rows in observation(reply, self._copy).items()})
 
     def __getstate__(self) -> dict[str, Any]:

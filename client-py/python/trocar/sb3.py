@@ -23,7 +23,7 @@ from stable_baselines3.common.vec_env.base_vec_env import VecEnv, VecEnvStepRetu
 from trocar._goal import GoalFunctions
 from trocar.errors import InvalidEnvIds, InvalidOption, InvalidRequest, refuse
 from trocar.registration import NAMESPACE
-from trocar.vector import EPISODE, TrocarVectorEnv
+from trocar.vector import EPISODE, EXPERT, TrocarVectorEnv
 
 METHODS = tuple(name for name in vars(GoalFunctions) if name.startswith("compute_"))
 """What :meth:`TrocarVecEnv.env_method` answers: functions of goals, without asking the server."""
@@ -110,9 +110,10 @@ class TrocarVecEnv(VecEnv):
         if "simulation_failed" in infos:
             for row in np.flatnonzero(infos["simulation_failed"]).tolist():
                 told[row]["simulation_failed"] = True
-        if "expert_action" in infos:
-            for info, action in zip(told, infos["expert_action"], strict=True):
-                info["expert_action"] = action
+        for name in EXPERT:
+            if name in infos:
+                for info, value in zip(told, infos[name], strict=True):
+                    info[name] = value
         return observations, rewards, dones, told
 
     def env_method(
@@ -174,7 +175,7 @@ class TrocarVecEnv(VecEnv):
     def _begun(self, infos: dict[str, Any], row: int) -> dict[str, Any]:
         """What there is to tell of the episode that began in an environment."""
         told = {name: int(infos[name][row]) for name in EPISODE}
-        return told | {name: infos[name][row] for name in ("expert_action",) if name in infos}
+        return told | {name: infos[name][row] for name in EXPERT if name in infos}
 
     def _rows(self, indices: int | Iterable[int] | None) -> list[int]:
         """The environments that ``indices`` mean."""

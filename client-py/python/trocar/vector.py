@@ -33,6 +33,9 @@ Step = tuple[Observation, NDArray[np.float32], NDArray[np.bool_], NDArray[np.boo
 EPISODE = ("episode_seed", "episode_index")
 """Infos that say which episode began; ``episode`` alone is what Gymnasium's recorders use."""
 
+EXPERT = ("expert_action", "expert_stage")
+"""Infos of the scripted expert, where it is asked for."""
+
 
 class TrocarVectorEnv(
     GoalFunctions, gym.vector.VectorEnv[Observation, NDArray[np.float32], NDArray[Any]]
@@ -73,7 +76,8 @@ class TrocarVectorEnv(
                 resets it) or ``disabled`` (``reset`` with a ``reset_mask`` must).
             render_mode: ``None``.
             max_episode_steps: The task's own number or ``None``.
-            expert: Whether ``infos["expert_action"]`` shall hold the scripted expert's actions.
+            expert: Whether ``infos["expert_action"]`` shall hold the scripted expert's actions, and
+                ``infos["expert_stage"]`` what it is about, by number in ``trocar.STAGES``.
             copy: With ``False``, observations are read-only views of shared memory, valid until
                 the next step but one.
             reconnect: Whether to survive the loss of the server: for how many seconds another of
@@ -159,10 +163,10 @@ class TrocarVectorEnv(
 
     def _beginning(self, chosen: NDArray[np.bool_]) -> tuple[Observation, dict[str, Any]]:
         latest = self._latest.arrays(self._copy)
-        expert_action = np.array(latest.pop("expert_action"))
+        expert = {name: np.array(latest.pop(name)) for name in EXPERT}
         infos = _masked(chosen, **{name: latest.pop(name) for name in EPISODE})
         if self._connection.expert:
-            infos |= _masked(chosen, expert_action=expert_action)
+            infos |= _masked(chosen, **expert)
         return shown(latest), infos
 
     def step(self, actions: ArrayLike) -> Step:
@@ -247,7 +251,7 @@ class TrocarVectorEnv(
             self._latest.check()
             self._latest.part(request())
         latest = self._latest.arrays(self._copy)
-        for name in (*EPISODE, "expert_action"):
+        for name in (*EPISODE, *EXPERT):
             del latest[name]
         return shown(latest)
 
@@ -382,6 +386,7 @@ def _arrays(reply: _trocar.Reply, copy: bool) -> dict[str, NDArray[Any]]:
         **observation(reply, copy),
         **_episodes(reply),
         "expert_action": reply.expert_action(copy),
+        "expert_stage": reply.expert_stage(),
     }
 
 

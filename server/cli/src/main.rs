@@ -5,9 +5,11 @@
 //! | `serve.rs`, `status.rs`, `stop.rs`, `clean.rs` | a server's life |
 //! | `tasks.rs`, `rollout.rs`, `bench.rs` | what there is to learn, how well a policy does, how fast |
 //! | `render.rs` | pictures of rollouts: contact sheets, moving pictures |
+//! | `demos.rs` | scripted experts as data sets |
 //! | `demo.rs` | one server and three clients in two languages at once |
 //! | `load.rs` | many clients at once that are killed and stopped, each compared with a twin |
-//! | `policy.rs`, `process.rs`, `options.rs` | who acts; processes that are started; options as text |
+//! | `policy.rs`, `network.rs` | who acts: experts, chance, policies that were trained |
+//! | `process.rs`, `options.rs` | processes that are started; options as text |
 //! | `usage.rs`, `inherited.rs` | what other processes use, and what they leave open |
 //! | `logging.rs` | what is logged, and how |
 //! | `output.rs`, `exit.rs` | JSON lines, tables; exit codes |
@@ -15,10 +17,12 @@
 mod bench;
 mod clean;
 mod demo;
+mod demos;
 mod exit;
 mod inherited;
 mod load;
 mod logging;
+mod network;
 mod options;
 mod output;
 mod policy;
@@ -52,6 +56,7 @@ A first session:
   trocar render --out all.png                    what every task looks like
   trocar serve --name lab                        a server that trainers share (Ctrl-C ends it)
   trocar rollout --task all --server lab         the same episodes, in that server
+  trocar demos --task NeedlePick-v0 --out data   its scripted expert as a Minari data set
   trocar bench --quick                           how fast this machine is
   trocar load --kill-every 2 --stop-every 5      what many clients, some of them killed, do to it
   trocar status --name lab --watch               who is connected, and how fast it runs
@@ -85,6 +90,8 @@ enum Command {
     Rollout(rollout::Rollout),
     /// Draw rollouts: a contact sheet, a moving picture, or one picture of each task
     Render(render::Render),
+    /// Record a scripted expert as a data set (Minari, LeRobot)
+    Demos(demos::Demos),
     /// Measure environment steps per second, in this process and through a server
     Bench(bench::Bench),
     /// Load a server with many clients, kill and stop some, and compare every bit
@@ -117,6 +124,7 @@ fn run(command: Command) -> anyhow::Result<()> {
         Command::Tasks(tasks) => tasks.run(),
         Command::Rollout(rollout) => rollout.run(),
         Command::Render(render) => render.run(),
+        Command::Demos(demos) => demos.run(),
         Command::Bench(bench) => bench.run(),
         Command::Load(load) => load.run(),
         Command::LoadClient(client) => client.run(),

@@ -2,11 +2,60 @@
 
 use std::collections::BTreeMap;
 
+use clap::Args;
 use serde_json::{Value, json};
 use trocar_proto::spec::{Allowed, OptionSpec};
 use trocar_proto::{OptionValue, Options, TaskSpec};
 
 use crate::exit::Exit;
+
+/// The options of tasks, as flags.
+#[derive(Debug, Args)]
+pub(crate) struct Given {
+    /// sparse or dense
+    #[arg(long, value_name = "WORD")]
+    reward: Option<String>,
+    /// What the numbers of an action mean: paper, cartesian, cartesian_abs or joint
+    #[arg(long, value_name = "WORD")]
+    action: Option<String>,
+    /// What holds an object in the jaws: interact, approx or weld
+    #[arg(long, value_name = "WORD")]
+    grasp: Option<String>,
+    /// With --grasp approx: from the jaws' tip to the object's surface, m
+    #[arg(long, value_name = "METRES")]
+    grasp_distance: Option<String>,
+    /// Where objects and goals appear: workspace or narrow
+    #[arg(long, value_name = "WORD")]
+    spawn: Option<String>,
+    /// How much is done when an episode begins: reset, approach, pick or lift
+    #[arg(long, value_name = "WORD")]
+    start: Option<String>,
+    /// Whose numbers: paper or surrol
+    #[arg(long, value_name = "WORD")]
+    preset: Option<String>,
+    /// Any option of the task; for a row of a table NAME.ROW=LOW,HIGH. May be repeated
+    #[arg(long = "option", value_name = "NAME=VALUE", value_parser = Assignment::parse)]
+    options: Vec<Assignment>,
+}
+
+impl Given {
+    /// All that were given, by name.
+    pub(crate) fn assignments(&self) -> Vec<Assignment> {
+        let named = [
+            ("reward", &self.reward),
+            ("action", &self.action),
+            ("grasp", &self.grasp),
+            ("grasp_distance", &self.grasp_distance),
+            ("spawn", &self.spawn),
+            ("start", &self.start),
+            ("preset", &self.preset),
+        ];
+        let named = named
+            .into_iter()
+            .filter_map(|(name, text)| text.as_ref().map(|text| Assignment::new(name, text)));
+        named.chain(self.options.iter().cloned()).collect()
+    }
+}
 
 /// `NAME=VALUE` or, for a row of a table, `NAME.ROW=VALUE`.
 #[derive(Debug, Clone, PartialEq)]

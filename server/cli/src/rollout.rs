@@ -16,9 +16,10 @@ use trocar_client::Client;
 use trocar_proto::{Options, TaskSpec};
 use trocar_server::tasks::Registry;
 
-use crate::options::{self, Assignment};
+use crate::exit::Exit;
+use crate::options::{self, Assignment, Given};
 use crate::output;
-use crate::policy::Policy;
+use crate::policy::Chooser;
 
 /// Run a policy for some episodes and report how often it succeeds.
 #[derive(Debug, Args)]
@@ -27,6 +28,7 @@ Examples:
   trocar rollout                                        every task, its scripted expert, 20 episodes
   trocar rollout --task NeedleReach-v0 --policy random --episodes 200 --envs 64
   trocar rollout --task NeedleReach-v0 --spawn narrow --option domain.latency=0,2
+  trocar rollout --policy policy.onnx --episodes 200     a policy of `python -m trocar.rl export`
   trocar rollout --server lab --json                    in the server `trocar serve --name lab`
 
 `success` counts episodes whose last step ends in success, `success ever` those with any such step.
@@ -37,9 +39,9 @@ pub(crate) struct Rollout {
     /// A task id of `trocar tasks`, or all
     #[arg(long, default_value = "all")]
     task: String,
-    /// Who acts: the task's scripted expert, or uniformly random actions
-    #[arg(long, value_enum, default_value_t = Policy::Oracle)]
-    policy: Policy,
+    /// Who acts: oracle (the task's scripted expert), random, or a trained policy, FILE.onnx
+    #[arg(long, default_value = "oracle")]
+    policy: String,
     /// How many episodes of each task
     #[arg(long, default_value_t = 20, value_parser = clap::value_parser!(u32).range(1..))]
     episodes: u32,
@@ -52,30 +54,8 @@ pub(crate) struct Rollout {
     /// Run in the server of that name instead of in this process
     #[arg(long, value_name = "NAME")]
     server: Option<String>,
-    /// sparse or dense
-    #[arg(long, value_name = "WORD")]
-    reward: Option<String>,
-    /// What the numbers of an action mean: paper, cartesian, cartesian_abs or joint
-    #[arg(long, value_name = "WORD")]
-    action: Option<String>,
-    /// What holds an object in the jaws: interact, approx or weld
-    #[arg(long, value_name = "WORD")]
-    grasp: Option<String>,
-    /// With --grasp approx: from the jaws' tip to the object's surface, m
-    #[arg(long, value_name = "METRES")]
-    grasp_distance: Option<String>,
-    /// Where objects and goals appear: workspace or narrow
-    #[arg(long, value_name = "WORD")]
-    spawn: Option<String>,
-    /// How much is done when an episode begins: reset, approach, pick or lift
-    #[arg(long, value_name = "WORD")]
-    start: Option<String>,
-    /// Whose numbers: paper or surrol
-    #[arg(long, value_name = "WORD")]
-    preset: Option<String>,
-    /// Any option of the task; for a row of a table NAME.ROW=LOW,HIGH. May be repeated
-    #[arg(long = "option", value_name = "NAME=VALUE", value_parser = Assignment::parse)]
-    options: Vec<Assignment>,
+    #[command(flatten)]
+    options: Given,
     /// One JSON object per task and line, on stdout
     #[arg(long)]
     json: bool,
@@ -85,7 +65,7 @@ pub(crate) struct Rollout {
 struct Job<'a> {
     task: &'a str,
     options: Options,
-    policy: Policy,
+    policy: &'a Chooser,
     episodes: u32,
     seed: u64,
     envs: u32,
@@ -130,7 +110,7 @@ impl Episode {
 #[derive(Debug, Serialize)]
 struct Row {
     task: String,
-    policy: Policy,
+    policy: String,
     grasp: Value,
     episodes: u32,
     success_rate: Option<f64>,
@@ -175,18 +155,19 @@ impl Rollout {
             Some(name) => Place::Server(Client::connect(name)?),
             None => Place::Here(Registry::builtin()),
         };
-        let assignments = self.assignments();
+        let policy = Chooser::read(&self.policy)?;
+        let assignments = self.options.assignments();
         let header = ["task", "policy", "episodes", "success", "success ever", "mean return"];
         let header: Vec<_> = header.into_iter().chain(["mean length", "steps/s"]).collect();
         let mut table = output::table(&header, 2);
-        for (task, options) in self.chosen(&place, &assignments)? {
-            let row = self.roll_out(&place, &task, options)?;
+        for (task, options) in self.chosen(&place, &policy, &assignments)? {
+            let row = self.roll_out(&place, &task, options, &policy)?;
             if self.json {
                 output::json_line(&row)?;
             }
             table.add_row([
                 row.task,
-                row.policy.to_string(),
+                row.policy,
                 row.episodes.to_string(),
                 output::percent(row.success_rate),
                 output::percent(row.success_ever_rate),
@@ -201,43 +182,44 @@ impl Rollout {
         Ok(())
     }
 
-    /// All options that were given, by name.
-    fn assignments(&self) -> Vec<Assignment> {
-        let named = [
-            ("reward", &self.reward),
-            ("action", &self.action),
-            ("grasp", &self.grasp),
-            ("grasp_distance", &self.grasp_distance),
-            ("spawn", &self.spawn),
-            ("start", &self.start),
-            ("preset", &self.preset),
-        ];
-        let named = named
-            .into_iter()
-            .filter_map(|(name, text)| text.as_ref().map(|text| Assignment::new(name, text)));
-        named.chain(self.options.iter().cloned()).collect()
-    }
-
     /// The tasks to run, each with the options that it knows.
     fn chosen(
         &self,
         place: &Place,
+        policy: &Chooser,
         assignments: &[Assignment],
     ) -> anyhow::Result<Vec<(String, Options)>> {
-        let ids = if self.task == "all" { place.tasks()? } else { vec![self.task.clone()] };
+        let ids = match (self.task.as_str(), policy) {
+            // A trained policy says what it was trained for.
+            ("all", Chooser::Network(network)) => {
+                let without = "--task: the policy's file names no task, so this must".into();
+                vec![network.task().ok_or(Exit::Usage(without))?.to_string()]
+            }
+            ("all", _) => place.tasks()?,
+            (task, _) => vec![task.to_string()],
+        };
         let specs = ids.iter().map(|task| place.spec(task, &Options::new()));
         let specs = specs.collect::<anyhow::Result<Vec<_>>>()?;
         options::for_tasks(assignments, &specs)
     }
 
-    fn roll_out(&self, place: &Place, task: &str, options: Options) -> anyhow::Result<Row> {
+    fn roll_out(
+        &self,
+        place: &Place,
+        task: &str,
+        options: Options,
+        policy: &Chooser,
+    ) -> anyhow::Result<Row> {
         let spec = place.spec(task, &options)?;
+        if let Chooser::Network(network) = policy {
+            network.check(&spec)?;
+        }
         let grasp = spec
             .options
             .iter()
             .find(|option| option.name == "grasp")
             .map(|option| options::json(options.0.get("grasp").unwrap_or(&option.default)));
-        let Self { policy, episodes, seed, envs, .. } = *self;
+        let Self { episodes, seed, envs, .. } = *self;
         let job = Job { task, options, policy, episodes, seed, envs };
 
         let progress = progress_bar(task, episodes);
@@ -256,7 +238,7 @@ impl Rollout {
         let mean_length = mean(|episode| episode.length.into());
         Ok(Row {
             task: task.into(),
-            policy,
+            policy: policy.to_string(),
             grasp: grasp.unwrap_or(Value::Null),
             episodes,
             success_rate: has_goal.then(|| mean(|episode| episode.success.into())),

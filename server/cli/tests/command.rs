@@ -75,9 +75,10 @@ impl Drop for Server {
 
 #[test]
 fn every_help_text_shows_examples() {
-    for command in
-        ["serve", "status", "stop", "clean", "tasks", "rollout", "render", "bench", "load", "demo"]
-    {
+    for command in [
+        "serve", "status", "stop", "clean", "tasks", "rollout", "render", "demos", "bench", "load",
+        "demo",
+    ] {
         let help = run(&[command, "--help"]);
         let text = String::from_utf8(help.stdout).unwrap();
         assert!(help.status.success() && text.contains("Examples:"), "{command}: {text}");

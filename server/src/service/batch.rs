@@ -382,5 +382,12 @@ fn write_state(env: &Env, want_expert: bool, rows: &mut Rows<'_>, row: usize) {
     rows.seed.row(row)[0] = env.seed();
     rows.episode.row(row)[0] = env.episode();
     let expert_action = rows.expert_action.row(row);
-    if want_expert { env.expert(expert_action) } else { expert_action.fill(0.0) }
+    let stage = &mut rows.expert_stage.row(row)[0];
+    if want_expert {
+        env.expert(expert_action);
+        *stage = env.stage() as u8;
+    } else {
+        expert_action.fill(0.0);
+        *stage = 0;
+    }
 }

@@ -110,10 +110,10 @@
 use nalgebra::Vector3;
 use trocar_proto::goal::Reward;
 use trocar_proto::spec::OptionSpec;
-use trocar_proto::{Options, Rejection, TaskSpec};
+use trocar_proto::{Options, Rejection, Stage, TaskSpec};
 
 use super::Task;
-use super::bimanual::{self, HandOver, Stage, Waypoint};
+use super::bimanual::{self, HandOver, Phase, Waypoint};
 use super::objects;
 use super::options::{self, Preset};
 use super::peg_board::{Block, Layout, PegBoard};
@@ -275,7 +275,11 @@ impl Task for BiPegTransfer {
 
     fn expert(&self, world: &World, action: &mut [f32]) {
         let [one, two] = &self.arms;
-        bimanual::act([one, two], &self.waypoints(world), action);
+        bimanual::act([one, two], &self.plan(world).1, action);
+    }
+
+    fn stage(&self, world: &World) -> Stage {
+        self.plan(world).0
     }
 }
 
@@ -301,25 +305,34 @@ impl BiPegTransfer {
         Transfer { side: 0.0, ..self.fetching() }
     }
 
-    /// What both arms are to do now.
-    fn waypoints(&self, world: &World) -> [Waypoint; 2] {
+    /// What is done now, and what both arms do for it.
+    fn plan(&self, world: &World) -> (Stage, [Waypoint; 2]) {
         let [one, two] = &self.arms;
         let Layout { block, target } = self.layout;
         let up = peg_expert::way_over_pegs(block, &world.pose(block.body()));
         let is_low = up > 0.5 * peg_expert::PASS;
-        match self.hand_over(world).stage(two, one, world) {
-            Stage::Under(_) if is_low => {
-                [self.waiting(), bimanual::carried(two, Vector3::z() * up)]
+        let hand_over = self.hand_over(world);
+        match hand_over.phase(two, one, world) {
+            Phase::Under(_) if is_low => {
+                let lifting = bimanual::carried(two, Vector3::z() * up);
+                (Stage::Lift, [self.waiting(), lifting])
             }
-            Stage::Under([two, one]) => [one, two],
-            Stage::Over { giver, clear: false } => [bimanual::staying(one), giver],
-            Stage::Over { giver, clear: true } => [self.placing().waypoint(one, world), giver],
-            Stage::Lost => {
+            Phase::Under([giver, taker]) => (hand_over.giving(two, one, world), [taker, giver]),
+            Phase::Over { giver, clear: false } => {
+                (Stage::HandOver, [bimanual::staying(one), giver])
+            }
+            Phase::Over { giver, clear: true } => {
+                let (stage, waypoint) = self.placing().plan(one, world);
+                (stage, [waypoint, giver])
+            }
+            Phase::Lost => {
                 let at = world.pose(block.body()).translation.vector;
                 if PegBoard::is_on(world, block, target) || at.y > two.reach().max.y {
-                    [self.placing().waypoint(one, world), bimanual::staying(two)]
+                    let (stage, waypoint) = self.placing().plan(one, world);
+                    (stage, [waypoint, bimanual::staying(two)])
                 } else {
-                    [self.waiting(), self.fetching().waypoint(two, world)]
+                    let (stage, waypoint) = self.fetching().plan(two, world);
+                    (stage, [self.waiting(), waypoint])
                 }
             }
         }

@@ -2,6 +2,7 @@
 //! expert's way of handing over.
 
 use nalgebra::{Point3, Vector3};
+use trocar_proto::Stage;
 use trocar_proto::spec::Element;
 
 use super::objects::THEATRE;
@@ -126,7 +127,7 @@ pub struct HandOver {
 
 /// How far a hand-over is.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub enum Stage {
+pub enum Phase {
     /// No arm has the object.
     Lost,
     /// It is not over: what giver and taker do now.
@@ -142,31 +143,37 @@ pub enum Stage {
 
 impl HandOver {
     /// What `giver` and `taker` are to do now.
-    pub fn stage(&self, giver: &PsmArm, taker: &PsmArm, world: &World) -> Stage {
+    pub fn phase(&self, giver: &PsmArm, taker: &PsmArm, world: &World) -> Phase {
         let given = giver.holds(world, self.object);
         let taken = taker.holds(world, self.object)
             || self.by_nearness && given && self.has_closed(taker, world);
         let [giver_wrist, taker_wrist] = [giver, taker].map(|arm| *arm.scene_from_wrist());
         match (given, taken) {
-            (false, false) => Stage::Lost,
+            (false, false) => Phase::Lost,
             (true, false) => {
                 let offered = is_at(&giver_wrist, &self.offer);
                 let offer = if offered { giver_wrist } else { self.offer };
-                Stage::Under([(offer, JAW_CLOSED), self.taking(taker, world, offered)])
+                Phase::Under([(offer, JAW_CLOSED), self.taking(taker, world, offered)])
             }
             (true, true) => {
                 let safe = self.by_nearness || self.together >= GRIPPED;
                 let giver_jaw = if safe { JAW_OPEN } else { JAW_CLOSED };
-                Stage::Under([(giver_wrist, giver_jaw), (taker_wrist, JAW_CLOSED)])
+                Phase::Under([(giver_wrist, giver_jaw), (taker_wrist, JAW_CLOSED)])
             }
             (false, true) => {
                 let tip = Point3::from(giver.tip());
                 let clear = world.distance(self.object, &tip) > CLEAR;
                 let back = if clear { 0.0 } else { -BACK };
                 let back = giver_wrist * Pose::translation(0.0, 0.0, back);
-                Stage::Over { giver: (back, JAW_OPEN), clear }
+                Phase::Over { giver: (back, JAW_OPEN), clear }
             }
         }
+    }
+
+    /// What is done while the giver has the object.
+    pub fn giving(&self, giver: &PsmArm, taker: &PsmArm, world: &World) -> Stage {
+        let offered = is_at(giver.scene_from_wrist(), &self.offer);
+        if offered || taker.holds(world, self.object) { Stage::HandOver } else { Stage::Carry }
     }
 
     fn taking(&self, taker: &PsmArm, world: &World, offered: bool) -> Waypoint {

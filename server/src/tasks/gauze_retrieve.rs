@@ -99,7 +99,7 @@
 use nalgebra::Vector3;
 use trocar_proto::goal::Reward;
 use trocar_proto::spec::OptionSpec;
-use trocar_proto::{Options, Rejection, TaskSpec};
+use trocar_proto::{Options, Rejection, Stage, TaskSpec};
 
 use super::Task;
 use super::gauze::{self, Gauze};
@@ -243,6 +243,10 @@ impl Task for GauzeRetrieve {
 
     fn expert(&self, world: &World, action: &mut [f32]) {
         self.pick(world).act(&self.arm, world, action);
+    }
+
+    fn stage(&self, world: &World) -> Stage {
+        self.pick(world).stage(&self.arm, world)
     }
 }
 

@@ -16,7 +16,7 @@
 //! A task of one's own implements [`Task`] and is added by [`Registry::register`].
 
 use trocar_proto::spec::OptionSpec;
-use trocar_proto::{Code, Options, Rejection, TaskSpec};
+use trocar_proto::{Code, Options, Rejection, Stage, TaskSpec};
 
 use crate::env::{Env, Imaging};
 use crate::render::Scene;
@@ -96,6 +96,12 @@ pub trait Task: Clone + Send + Sync + 'static {
 
     /// Writes what a scripted expert would do now.
     fn expert(&self, world: &World, action: &mut [f32]);
+
+    /// What that expert is about now; demonstrations are labelled with it.
+    fn stage(&self, world: &World) -> Stage {
+        let _ = world;
+        Stage::Reach
+    }
 
     /// Adds what there is to see, and from where; by default every body as its collision shapes.
     fn scene(&self, world: &World, scene: &mut Scene) {
@@ -240,6 +246,7 @@ pub(crate) trait AnyTask: Send + Sync {
         desired: &mut [f32],
     );
     fn expert(&self, world: &World, action: &mut [f32]);
+    fn stage(&self, world: &World) -> Stage;
     fn scene(&self, world: &World, scene: &mut Scene);
     fn theatre(&self) -> Aabb;
     fn reward(&self, world: &World) -> f32;
@@ -280,6 +287,10 @@ impl<T: Task> AnyTask for T {
 
     fn expert(&self, world: &World, action: &mut [f32]) {
         Task::expert(self, world, action);
+    }
+
+    fn stage(&self, world: &World) -> Stage {
+        Task::stage(self, world)
     }
 
     fn scene(&self, world: &World, scene: &mut Scene) {

@@ -97,7 +97,7 @@
 use nalgebra::Vector3;
 use trocar_proto::goal::Reward;
 use trocar_proto::spec::OptionSpec;
-use trocar_proto::{Options, Rejection, TaskSpec};
+use trocar_proto::{Options, Rejection, Stage, TaskSpec};
 
 use super::Task;
 use super::objects;
@@ -244,6 +244,10 @@ impl Task for NeedlePick {
 
     fn expert(&self, world: &World, action: &mut [f32]) {
         self.pick(world).act(&self.arm, world, action);
+    }
+
+    fn stage(&self, world: &World) -> Stage {
+        self.pick(world).stage(&self.arm, world)
     }
 }
 

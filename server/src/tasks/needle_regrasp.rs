@@ -112,10 +112,10 @@ use std::f64::consts::PI;
 use nalgebra::{UnitQuaternion, Vector3};
 use trocar_proto::goal::Reward;
 use trocar_proto::spec::OptionSpec;
-use trocar_proto::{Options, Rejection, TaskSpec};
+use trocar_proto::{Options, Rejection, Stage, TaskSpec};
 
 use super::Task;
-use super::bimanual::{self, HandOver, Stage, Waypoint};
+use super::bimanual::{self, HandOver, Phase, Waypoint};
 use super::objects;
 use super::options::{self, Preset};
 use super::psm_scene::{
@@ -301,7 +301,11 @@ impl Task for NeedleRegrasp {
 
     fn expert(&self, world: &World, action: &mut [f32]) {
         let [one, two] = &self.arms;
-        bimanual::act([one, two], &self.waypoints(world), action);
+        bimanual::act([one, two], &self.plan(world).1, action);
+    }
+
+    fn stage(&self, world: &World) -> Stage {
+        self.plan(world).0
     }
 }
 
@@ -365,8 +369,8 @@ impl NeedleRegrasp {
         }
     }
 
-    /// What both arms are to do now.
-    fn waypoints(&self, world: &World) -> [Waypoint; 2] {
+    /// What is done now, and what both arms do for it.
+    fn plan(&self, world: &World) -> (Stage, [Waypoint; 2]) {
         let [one, two] = &self.arms;
         let [point, swage] = self.places(world);
         let levelled = levelling(&point.translation.vector, &swage.translation.vector);
@@ -378,12 +382,15 @@ impl NeedleRegrasp {
             hover: HOVER,
             by_nearness: self.by_nearness,
         };
-        match hand_over.stage(one, two, world) {
-            Stage::Lost => [bimanual::staying(one), bimanual::staying(two)],
-            Stage::Under(waypoints) => waypoints,
-            Stage::Over { giver, clear: false } => [giver, bimanual::staying(two)],
-            Stage::Over { giver, clear: true } => {
-                [giver, bimanual::carried(two, self.goal - point.translation.vector)]
+        match hand_over.phase(one, two, world) {
+            Phase::Lost => (Stage::HandOver, [bimanual::staying(one), bimanual::staying(two)]),
+            Phase::Under(waypoints) => (hand_over.giving(one, two, world), waypoints),
+            Phase::Over { giver, clear: false } => {
+                (Stage::HandOver, [giver, bimanual::staying(two)])
+            }
+            Phase::Over { giver, clear: true } => {
+                let way = self.goal - point.translation.vector;
+                (Stage::Carry, [giver, bimanual::carried(two, way)])
             }
         }
     }

@@ -5,6 +5,7 @@
 //! pegs, bring it over its target, let it down, open, and leave.
 
 use nalgebra::Vector3;
+use trocar_proto::Stage;
 
 use super::peg_board::{Block, PegBoard};
 use super::pick::{jaws_across, step_towards};
@@ -71,6 +72,11 @@ impl Transfer {
         arm.encode(&step_towards(arm.scene_from_wrist(), &target), jaw, action);
     }
 
+    /// What is done now.
+    pub fn stage(&self, arm: &PsmArm, world: &World) -> Stage {
+        self.plan(arm, world).0
+    }
+
     /// How far the work is done.
     pub fn progress(&self, arm: &PsmArm, world: &World) -> Start {
         let block = world.pose(self.block.body());
@@ -86,6 +92,11 @@ impl Transfer {
 
     /// Where the wrist of `arm` goes now, and the angle of its jaws, rad.
     pub fn waypoint(&self, arm: &PsmArm, world: &World) -> (Pose, f64) {
+        self.plan(arm, world).1
+    }
+
+    /// What is done now: where the wrist goes for it, and the angle of the jaws, rad.
+    pub(super) fn plan(&self, arm: &PsmArm, world: &World) -> (Stage, (Pose, f64)) {
         let wrist = arm.scene_from_wrist();
         let by = |way: Vector3<f64>| Pose::from(way) * wrist;
         let held = arm.holds(world, self.block.body());
@@ -94,13 +105,19 @@ impl Transfer {
         if PegBoard::is_on(world, self.block, self.target) && (height < LET_GO || !held) {
             // Open, then straight up and out of the way.
             let up = if arm.opening(world) > OPEN { pass() - wrist.translation.z } else { 0.0 };
-            return (by(Vector3::z() * up.max(0.0)), JAW_OPEN);
+            return (Stage::Place, (by(Vector3::z() * up.max(0.0)), JAW_OPEN));
         }
-        if held { (by(self.carry(&block, wrist)), JAW_CLOSED) } else { self.pick(arm, world) }
+        if held {
+            let (stage, way) = self.carry(&block, wrist);
+            return (stage, (by(way), JAW_CLOSED));
+        }
+        let (target, jaw) = self.pick(arm, world);
+        let stage = if jaw == JAW_CLOSED { Stage::Pick } else { Stage::Approach };
+        (stage, (target, jaw))
     }
 
-    /// The way on which a held block goes now.
-    fn carry(&self, block: &Pose, wrist: &Pose) -> Vector3<f64> {
+    /// What is done with a held block now, and the way on which it goes.
+    fn carry(&self, block: &Pose, wrist: &Pose) -> (Stage, Vector3<f64>) {
         let goal = PegBoard::peg(self.target)
             + outwards(self.block, block, held_wall(self.block, block, wrist)) * OFF_AXIS;
         let way = level(&(goal - block.translation.vector));
@@ -108,11 +125,11 @@ impl Transfer {
         let passes = bottom - peg_top();
         let near = if passes < 0.0 { STILL_OVER } else { OVER };
         if way.norm() < near {
-            way + Vector3::z() * (PegBoard::top() - bottom)
+            (Stage::Place, way + Vector3::z() * (PegBoard::top() - bottom))
         } else if passes < 0.5 * PASS {
-            Vector3::z() * (PASS - passes)
+            (Stage::Lift, Vector3::z() * (PASS - passes))
         } else {
-            way + Vector3::z() * (PASS - passes)
+            (Stage::Carry, way + Vector3::z() * (PASS - passes))
         }
     }
 

@@ -98,7 +98,7 @@
 
 use trocar_proto::goal::Reward;
 use trocar_proto::spec::OptionSpec;
-use trocar_proto::{Options, Rejection, TaskSpec};
+use trocar_proto::{Options, Rejection, Stage, TaskSpec};
 
 use super::Task;
 use super::objects;
@@ -235,6 +235,10 @@ impl Task for PegTransfer {
 
     fn expert(&self, world: &World, action: &mut [f32]) {
         self.transfer().act(&self.arm, world, action);
+    }
+
+    fn stage(&self, world: &World) -> Stage {
+        self.transfer().stage(&self.arm, world)
     }
 }
 

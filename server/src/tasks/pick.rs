@@ -4,6 +4,7 @@
 //! the object, go down, close, lift as high as the goal is, go there and stay.
 
 use nalgebra::{UnitQuaternion, Vector3};
+use trocar_proto::Stage;
 
 use super::psm_scene::{PsmArm, STEP_ANGLE, STEP_LENGTH, down};
 use super::start::Start;
@@ -50,11 +51,18 @@ impl Pick {
         arm.encode(&step_towards(arm.scene_from_wrist(), &target), jaw, action);
     }
 
+    /// What is done now.
+    pub fn stage(&self, arm: &PsmArm, world: &World) -> Stage {
+        if arm.holds(world, self.object) {
+            return if self.is_high() { Stage::Carry } else { Stage::Lift };
+        }
+        if self.is_about(arm) { Stage::Pick } else { Stage::Approach }
+    }
+
     /// How far the work is done.
     pub fn progress(&self, arm: &PsmArm, world: &World) -> Start {
         if arm.holds(world, self.object) {
-            let lifted = self.goal.z - self.carried.z <= LEVEL;
-            if lifted { Start::Lift } else { Start::Pick }
+            if self.is_high() { Start::Lift } else { Start::Pick }
         } else {
             let off = arm.scene_from_wrist().translation.vector - self.grasp.translation.vector;
             let about = off.norm() < ALIGNED + LOW && arm.opening(world) > OPEN;
@@ -72,16 +80,31 @@ impl Pick {
             }
             return (Pose::from(way) * wrist, JAW_CLOSED);
         }
-        let off = wrist.translation.vector - self.grasp.translation.vector;
-        let turn = wrist.rotation.angle_to(&self.grasp.rotation);
-        let aligned = off.xy().norm() < ALIGNED && turn < TURNED;
-        if aligned && off.z < LOW {
+        if self.is_about(arm) {
             (self.grasp, if opening < EMPTY { JAW_OPEN } else { JAW_CLOSED })
-        } else if aligned && opening > OPEN {
+        } else if self.is_aligned(wrist) && opening > OPEN {
             (self.grasp, JAW_OPEN)
         } else {
             (Pose::from(Vector3::z() * HOVER) * self.grasp, JAW_OPEN)
         }
+    }
+
+    /// Whether the object need not be lifted any more.
+    fn is_high(&self) -> bool {
+        self.goal.z - self.carried.z <= LEVEL
+    }
+
+    /// Whether a wrist is straight above the grasp, turned as it must be.
+    fn is_aligned(&self, wrist: &Pose) -> bool {
+        let off = wrist.translation.vector - self.grasp.translation.vector;
+        off.xy().norm() < ALIGNED && wrist.rotation.angle_to(&self.grasp.rotation) < TURNED
+    }
+
+    /// Whether the jaws are where they close.
+    fn is_about(&self, arm: &PsmArm) -> bool {
+        let wrist = arm.scene_from_wrist();
+        let height = wrist.translation.z - self.grasp.translation.z;
+        self.is_aligned(wrist) && height < LOW
     }
 }
 

@@ -33,6 +33,7 @@ struct Shown {
     seed: Vec<u64>,
     episode: Vec<u64>,
     expert_action: Vec<f32>,
+    expert_stage: Vec<u8>,
 }
 
 impl Twin {
@@ -55,6 +56,7 @@ impl Twin {
             seed: vec![0; rows],
             episode: vec![0; rows],
             expert_action: floats(spec.action_dim()),
+            expert_stage: vec![0; rows],
         };
         let (actions, draws) = (floats(spec.action_dim()), vec![0; rows * spec.action_dim()]);
         Ok(Self { envs: vec![first; rows], seed, shown, actions, draws })
@@ -111,7 +113,7 @@ impl Twin {
     pub(super) fn difference(&self, reply: &Reply) -> Option<String> {
         let Shown { observation, achieved_goal, desired_goal, reward, .. } = &self.shown;
         let Shown { terminated, truncated, is_success, fault, .. } = &self.shown;
-        let Shown { steps, seed, episode, expert_action, .. } = &self.shown;
+        let Shown { steps, seed, episode, expert_action, expert_stage, .. } = &self.shown;
         let rows = self.envs.len();
         let differs = [
             ("observation", unlike(observation, reply.observation(), rows)),
@@ -126,6 +128,7 @@ impl Twin {
             ("seed", unlike(seed, reply.seed(), rows)),
             ("episode", unlike(episode, reply.episode(), rows)),
             ("expert action", unlike(expert_action, reply.expert_action(), rows)),
+            ("expert stage", unlike(expert_stage, reply.expert_stage(), rows)),
         ];
         differs.into_iter().find_map(|(array, row)| {
             let row = row?;
@@ -192,6 +195,7 @@ impl Shown {
             cells(&mut self.desired_goal, row, goal),
         );
         env.expert(cells(&mut self.expert_action, row, spec.action_dim()));
+        self.expert_stage[row] = env.stage() as u8;
         self.steps[row] = env.steps();
         self.seed[row] = env.seed();
         self.episode[row] = env.episode();

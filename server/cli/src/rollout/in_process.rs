@@ -8,6 +8,9 @@ use indicatif::ProgressBar;
 use trocar_server::tasks::Registry;
 use trocar_server::{Env, StepError};
 
+use crate::network::Seen;
+use crate::policy::Chooser;
+
 use super::{Episode, Job};
 
 /// Runs all episodes of a job, in order.
@@ -20,15 +23,15 @@ pub(super) fn run(
     let cores = thread::available_parallelism().map_or(1, NonZero::get) as u32;
     let threads = cores.min(job.envs).min(job.episodes);
     let next = AtomicU32::new(0);
-    let work = || -> Result<Vec<(u32, Episode)>, StepError> {
-        let mut env = env.clone();
+    let work = || -> anyhow::Result<Vec<(u32, Episode)>> {
+        let (mut env, policy) = (env.clone(), job.policy.twin());
         let mut done = Vec::new();
         loop {
             let k = next.fetch_add(1, Ordering::Relaxed);
             if k >= job.episodes {
                 return Ok(done);
             }
-            done.push((k, episode(&mut env, job, k)?));
+            done.push((k, episode(&mut env, &policy, job.seed_of(k))?));
             progress.inc(1);
         }
     };
@@ -44,18 +47,22 @@ pub(super) fn run(
     Ok(episodes.into_iter().map(|(_, episode)| episode).collect())
 }
 
-fn episode(env: &mut Env, job: &Job<'_>, k: u32) -> Result<Episode, StepError> {
-    let seed = job.seed_of(k);
-    let mut actor = job.policy.actor(seed);
-    let mut action = vec![0.0; env.spec().action_dim()];
+fn episode(env: &mut Env, policy: &Chooser, seed: u64) -> anyhow::Result<Episode> {
+    let mut player = policy.player(seed);
+    let spec = env.spec();
+    let [mut action, mut observation, mut achieved, mut desired] =
+        [spec.action_dim(), spec.observation_dim(), spec.goal_dim(), spec.goal_dim()]
+            .map(|dim| vec![0.0; dim]);
     let mut episode = Episode::default();
     env.reset(Some(seed));
     while !env.needs_reset() {
-        actor.act(&mut action, |action| env.expert(action));
+        env.observe(&mut observation, &mut achieved, &mut desired);
+        let seen = Seen { observation: &observation, achieved: &achieved, desired: &desired };
+        player.act(&seen, &mut action, |action| env.expert(action))?;
         match env.step(&action) {
             Ok(step) => episode.step(step.reward, step.is_success),
             Err(StepError::Simulation { .. }) => episode.fail(),
-            Err(error) => return Err(error),
+            Err(error) => return Err(error.into()),
         }
     }
     Ok(episode)

@@ -6,22 +6,31 @@ use indicatif::ProgressBar;
 use trocar_client::{Autoreset, Client, Reply, SessionRequest};
 
 use super::{Episode, Job};
-use crate::policy::Actor;
+use crate::network::Seen;
+use crate::policy::Player;
 
 /// An episode under way in one environment.
 struct Running {
     k: u32,
-    actor: Actor,
+    player: Player,
     episode: Episode,
     action: Vec<f32>,
 }
 
 impl Running {
     /// Chooses the action for the state in row `row`.
-    fn act(&mut self, reply: &Reply, row: usize) {
-        let dim = self.action.len();
-        let expert = &reply.expert_action()[row * dim..(row + 1) * dim];
-        self.actor.act(&mut self.action, |action| action.copy_from_slice(expert));
+    fn act(&mut self, reply: &Reply, row: usize) -> anyhow::Result<()> {
+        fn part(rows: &[f32], row: usize, dim: usize) -> &[f32] {
+            &rows[row * dim..(row + 1) * dim]
+        }
+        let spec = reply.spec();
+        let expert = part(reply.expert_action(), row, self.action.len());
+        let seen = Seen {
+            observation: part(reply.observation(), row, spec.observation_dim()),
+            achieved: part(reply.achieved_goal(), row, spec.goal_dim()),
+            desired: part(reply.desired_goal(), row, spec.goal_dim()),
+        };
+        self.player.act(&seen, &mut self.action, |action| action.copy_from_slice(expert))
     }
 
     /// Takes down the step in row `row`; whether the episode ended with it.
@@ -63,10 +72,10 @@ pub(super) fn run(
                 begun.iter().map(|(env, k)| (*env, job.seed_of(*k))).unzip();
             let reply = session.reset_envs(&env_ids, Some(&seeds))?;
             for (row, (env, k)) in begun.into_iter().enumerate() {
-                let actor = job.policy.actor(seeds[row]);
+                let player = job.policy.player(seeds[row]);
                 let action = vec![0.0; dim];
-                let mut begun = Running { k, actor, episode: Episode::default(), action };
-                begun.act(&reply, row);
+                let mut begun = Running { k, player, episode: Episode::default(), action };
+                begun.act(&reply, row)?;
                 running.insert(env, begun);
             }
         }
@@ -85,7 +94,7 @@ pub(super) fn run(
                 running.remove(env);
                 progress.inc(1);
             } else {
-                current.act(&reply, row);
+                current.act(&reply, row)?;
             }
         }
     }

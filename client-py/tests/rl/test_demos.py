@@ -1,0 +1,211 @@
+"""Demonstrations: what is recorded, kept, resumed and refused."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import minari
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+
+import trocar
+from trocar.demos import Recording, dataset_path, record
+from trocar.demos.__main__ import main
+
+TASK = "NeedlePick-v0"
+LATE: dict[str, Any] = {"domain": {"latency": [6, 6]}}
+
+
+def loaded(
+    out: Path, task: str, name: str, monkeypatch: pytest.MonkeyPatch
+) -> minari.MinariDataset:
+    monkeypatch.setenv("MINARI_DATASETS_PATH", str(out))
+    return minari.load_dataset(f"trocar/{task}/{name}")
+
+
+def test_a_minari_data_set_is_what_the_environment_gives(
+    tmp_path: Path, server: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    told = record(TASK, episodes=5, out=tmp_path, seed=40, envs=3, server=server, spawn="narrow")
+    assert told == Recording(TASK, 5, 5, str(dataset_path(tmp_path, TASK)))
+    dataset = loaded(tmp_path, TASK, "expert-v0", monkeypatch)
+    assert dataset.total_episodes == 5
+    recipe = json.loads(dataset.storage.metadata["trocar"])
+    assert recipe == {
+        "task": TASK,
+        "options": {"spawn": "narrow"},
+        "seed": 40,
+        "episodes": 5,
+        "keeps_failures": False,
+        "version": trocar.__version__,
+        "stages": list(trocar.STAGES),
+    }
+    env = dataset.recover_environment(server=server).unwrapped
+    seeds = [meta["seed"] for meta in dataset.storage.get_episode_metadata(range(5))]
+    assert seeds == [40, 41, 42, 43, 44]
+    for seed, episode in zip(seeds, dataset.iterate_episodes(), strict=True):
+        seen, _ = env.reset(seed=seed)
+        for step, action in enumerate(episode.actions):
+            assert all((seen[key] == episode.observations[key][step]).all() for key in seen)
+            seen, reward, terminated, truncated, info = env.step(action)
+            assert reward == episode.rewards[step]
+            assert (terminated, truncated) == (
+                episode.terminations[step],
+                episode.truncations[step],
+            )
+            assert info["is_success"] == episode.infos["is_success"][step + 1]
+        assert info["is_success"]
+        names = [trocar.STAGES[number] for number in episode.infos["expert_stage"]]
+        in_order = [
+            name for name, before in zip(names, [None, *names], strict=False) if name != before
+        ]
+        assert in_order == ["approach", "pick", "lift", "carry"]
+    env.close()
+
+
+def test_failures_are_dropped_unless_they_are_wanted(
+    tmp_path: Path, server: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    some = record(TASK, episodes=6, out=tmp_path, server=server, **LATE)
+    everything = record(
+        TASK, episodes=6, out=tmp_path, name="all-v0", keep_failures=True, server=server, **LATE
+    )
+    assert everything.kept == 6
+    assert some.kept < 6
+    dataset = loaded(tmp_path, TASK, "all-v0", monkeypatch)
+    succeeded = [bool(episode.infos["is_success"][-1]) for episode in dataset.iterate_episodes()]
+    assert sum(succeeded) == some.kept
+
+
+def test_tasks_without_goals_are_recorded_too(
+    tmp_path: Path, server: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    record("ActiveTrack-v0", episodes=2, out=tmp_path, server=server)
+    dataset = loaded(tmp_path, "ActiveTrack-v0", "expert-v0", monkeypatch)
+    assert dataset[0].observations.shape == (501, 10)
+
+
+class Stop(Exception):
+    pass
+
+
+def stop_after(episodes: int) -> Any:
+    def progress(done: int, kept: int) -> None:
+        del kept
+        if done >= episodes:
+            raise Stop
+
+    return progress
+
+
+def test_an_interrupted_recording_goes_on_and_gives_the_same(
+    tmp_path: Path, server: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    settings: dict[str, Any] = {"episodes": 7, "out": tmp_path, "server": server}
+    record("NeedleReach-v0", name="straight-v0", envs=7, **settings)
+    with pytest.raises(Stop):
+        record("NeedleReach-v0", name="broken-v0", envs=2, progress=stop_after(4), **settings)
+    with pytest.raises(ValueError, match="resume"):
+        record("NeedleReach-v0", name="broken-v0", **settings)
+    for change, value in (("seed", 1), ("episodes", 8), ("reward", "dense")):
+        with pytest.raises(ValueError, match="options" if change == "reward" else change):
+            record(
+                "NeedleReach-v0",
+                **(settings | {"name": "broken-v0", "resume": True, change: value}),
+            )
+    seen: list[int] = []
+    record(
+        "NeedleReach-v0",
+        name="broken-v0",
+        envs=3,
+        resume=True,
+        progress=lambda *counts: seen.append(counts[0]),
+        **settings,
+    )
+    assert seen == [4, 7]
+    straight = loaded(tmp_path, "NeedleReach-v0", "straight-v0", monkeypatch)
+    broken = loaded(tmp_path, "NeedleReach-v0", "broken-v0", monkeypatch)
+    for one, other in zip(straight.iterate_episodes(), broken.iterate_episodes(), strict=True):
+        assert (one.actions == other.actions).all()
+        for key, rows in one.observations.items():
+            assert (rows == other.observations[key]).all()
+    again = record("NeedleReach-v0", name="broken-v0", resume=True, **settings)
+    assert again.kept == 7
+    with pytest.raises(ValueError, match="there is a data set already"):
+        record("NeedleReach-v0", name="broken-v0", **settings)
+    assert not list(tmp_path.rglob("*.partial"))
+
+
+def test_lerobot_s_files_fit_together(tmp_path: Path, server: str) -> None:
+    # lerobot 0.4.4 itself reads it; it is too large for this environment.
+    record(TASK, episodes=3, out=tmp_path, format="lerobot", server=server)
+    folder = dataset_path(tmp_path, TASK)
+    info = json.loads((folder / "meta/info.json").read_text())
+    assert (info["codebase_version"], info["fps"]) == ("v3.0", 5)
+    assert (info["total_episodes"], info["total_frames"]) == (3, 150)
+    frames = pq.read_table(folder / info["data_path"].format(chunk_index=0, file_index=0))
+    assert set(frames.column_names) == set(info["features"])
+    columns = {name: np.stack(frames[name].to_numpy()) for name in frames.column_names}
+    assert (columns["index"] == np.arange(150)).all()
+    assert columns["observation.state"].shape == (150, 19)
+    stats = json.loads((folder / "meta/stats.json").read_text())
+    assert np.allclose(stats["action"]["mean"], columns["action"].mean(axis=0))
+    episodes = pq.read_table(folder / "meta/episodes/chunk-000/file-000.parquet").to_pylist()
+    for number, row in enumerate(episodes):
+        assert (row["dataset_from_index"], row["dataset_to_index"]) == (
+            50 * number,
+            50 * number + 50,
+        )
+        assert (columns["episode_index"][50 * number : 50 * number + 50] == number).all()
+    subtasks = pq.read_table(folder / "meta/subtasks.parquet").to_pydict()["subtask"]
+    assert [subtasks[number] for number in columns["subtask_index"][[0, -1]]] == [
+        "approach",
+        "carry",
+    ]
+    assert columns["next.done"].sum() == 3
+
+
+def test_bad_input_is_refused_and_leaves_nothing(
+    tmp_path: Path, server: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for bad in (
+        {"task": "NoSuchTask-v0"},
+        {"task": TASK, "spawn": "nowhere"},
+        {"task": TASK, "colour": "red"},
+        {"task": TASK, "format": "csv"},
+        {"task": TASK, "episodes": 0},
+    ):
+        with pytest.raises(ValueError, match=r"allowed|knows"):
+            record(out=tmp_path, server=server, **bad)
+    flags = ["--out", str(tmp_path), "--server", server]
+    assert main(["--task", "NoSuchTask-v0", *flags]) == 2
+    assert "NeedlePick-v0" in capsys.readouterr().err
+    assert main(["--task", TASK, "--out", str(tmp_path), "--server", "no-such-server"]) == 3
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_the_command_records_with_python(tmp_path: Path, server: str) -> None:
+    command = [trocar.binary(), "demos", "--task", "GauzeRetrieve-v0", "--episodes", "2"]
+    command += ["--out", str(tmp_path), "--server", server, "--spawn", "narrow", "--json"]
+    variables = os.environ | {"TROCAR_PYTHON": sys.executable}
+    said = json.loads(subprocess.check_output(command, env=variables))
+    path = dataset_path(tmp_path, "GauzeRetrieve-v0")
+    assert said == {"task": "GauzeRetrieve-v0", "episodes": 2, "kept": 2, "path": str(path)}
+    dataset = minari.MinariDataset(path / "data")
+    assert dataset.total_episodes == 2
+    assert json.loads(dataset.storage.metadata["trocar"])["options"] == {"spawn": "narrow"}
+
+
+def test_a_missing_extra_is_named(
+    tmp_path: Path, server: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delitem(sys.modules, "trocar.demos._minari", raising=False)
+    monkeypatch.setitem(sys.modules, "h5py", None)
+    with pytest.raises(ModuleNotFoundError, match=r"pip install trocar\[demos\]"):
+        record(TASK, episodes=1, out=tmp_path, server=server)

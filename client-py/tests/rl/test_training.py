@@ -1,0 +1,293 @@
+"""Training runs: a few hundred updates of each algorithm, the same again, interrupted, refused."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import onnx
+import pytest
+from onnx.reference import ReferenceEvaluator
+
+import trocar
+from trocar.demos import record
+from trocar.rl import Config, Run, export, load, score, train
+from trocar.rl.__main__ import main
+from trocar.rl.curves import curves, find, plot, write_table
+from trocar.rl.evaluation import wilson
+from trocar.sb3 import make_vec
+
+SMALL: dict[str, Any] = {
+    "hidden": [16, 16],
+    "epochs": 3,
+    "epoch_episodes": 4,
+    "eval_episodes": 4,
+    "updates": 60,
+    "batch_size": 64,
+}
+RUNS: dict[str, tuple[str, dict[str, Any]]] = {
+    "her": ("NeedleReach-v0", {}),
+    "her-demo": ("NeedlePick-v0", {"demos": 3, "demo_batch": 16}),
+    "ddpg": ("ActiveTrack-v0", {"learning_starts": 400, "train_every": 250}),
+    "ppo": ("NeedleReach-v0", {"envs": 4, "train_every": 50, "passes": 5, "batch_size": 50}),
+}
+TIMES = ("wall_s", "trainer_cpu_s", "server_cpu_s")
+
+
+def small(algo: str, **changes: Any) -> Config:
+    task, own = RUNS[algo]
+    settings = SMALL | own | changes
+    if algo == "ddpg":
+        settings |= {"epochs": 2, "epoch_episodes": 2}
+    return load(task, algo).but(**settings)
+
+
+def quietly(line: str) -> None:
+    del line
+
+
+def curve(run: Run) -> list[dict[str, float]]:
+    """Its rows without the times that they took."""
+    return [{name: row[name] for name in row if name not in TIMES} for row in run.rows()]
+
+
+class Stop(Exception):
+    pass
+
+
+@pytest.mark.parametrize("algo", RUNS)
+def test_it_learns_the_same_again_and_after_an_interruption(
+    algo: str, tmp_path: Path, server: str
+) -> None:
+    config = small(algo)
+    straight = train(config, 1, out=tmp_path / "one", server=server, say=quietly)
+    rows = curve(straight)
+    assert [row["epoch"] for row in rows] == list(range(config.epochs + 1))
+    assert rows[-1]["steps"] == config.epochs * config.epoch_steps
+    assert rows[-1]["updates"] >= 15 if algo == "ppo" else rows[-1]["updates"] >= 200
+    assert all(np.isfinite(list(row.values())).all() for row in rows)
+    assert {"actor_loss", "critic_loss"} <= rows[-1].keys()
+    assert ("passed" in rows[-1]) == (algo == "her-demo")
+    for name in ("config.json", "curve.csv", "curve.png", "last.zip", "best.zip"):
+        assert (straight.path / name).stat().st_size > 0
+    assert list((straight.path / "tensorboard").iterdir())
+
+    def stop(line: str) -> None:
+        if "epoch   1" in line:
+            raise Stop
+
+    with pytest.raises(Stop):
+        train(config, 1, out=tmp_path / "two", server=server, say=stop)
+    with pytest.raises(ValueError, match="resume"):
+        train(config, 1, out=tmp_path / "two", server=server, say=quietly)
+    other = config.but(gamma=0.9)
+    with pytest.raises(ValueError, match="gamma"):
+        train(other, 1, out=tmp_path / "two", server=server, resume=True, say=quietly)
+    resumed = train(config, 1, out=tmp_path / "two", server=server, resume=True, say=quietly)
+    assert curve(resumed) == rows
+    if algo == "her":
+        elsewhere = train(config, 2, out=tmp_path / "two", server=server, say=quietly)
+        assert curve(elsewhere) != rows
+
+
+@pytest.fixture(scope="module")
+def trained(tmp_path_factory: pytest.TempPathFactory, server: str) -> Run:
+    """A run that knows little."""
+    out = tmp_path_factory.mktemp("runs")
+    return train(small("her", epochs=1), 0, out=out, server=server, say=quietly)
+
+
+def test_an_exported_policy_acts_as_the_model_does(
+    trained: Run, tmp_path: Path, server: str
+) -> None:
+    model = trained.policy("last")
+    path = export(model, trained.config, tmp_path / "policy.onnx")
+    told = onnx.load(path)
+    metadata = {entry.key: entry.value for entry in told.metadata_props}
+    assert metadata["trocar.task"] == "NeedleReach-v0"
+    network = ReferenceEvaluator(told)
+    assert [port.name for port in told.graph.input] == ["observation", "desired_goal"]
+    envs = make_vec("trocar/NeedleReach-v0", 8, seed=0, server=server)
+    seen: Any = envs.reset()
+    expected, _ = model.predict(seen, deterministic=True)
+    for row in range(8):
+        inputs = {name: seen[name][row : row + 1] for name in ("observation", "desired_goal")}
+        (action,) = network.run(None, inputs)
+        assert action == pytest.approx(expected[row : row + 1], abs=1e-5)
+    envs.close()
+
+    # The command runs the same episodes, in its own process and in a server.
+    envs = make_vec("trocar/NeedleReach-v0", 20, server=server)
+    result = score(model, envs, 77)
+    envs.close()
+    for place in ([], ["--server", server]):
+        command = [trocar.binary(), "rollout", "--policy", str(path), "--episodes", "20"]
+        command += ["--seed", "77", "--json", *place]
+        said = json.loads(subprocess.check_output(command))
+        assert said["task"] == "NeedleReach-v0"
+        assert said["policy"] == str(path)
+        assert said["success_rate"] == result.success_rate
+        assert said["mean_return"] == pytest.approx(result.mean_return, abs=0.11)
+    wrong = [trocar.binary(), "rollout", "--policy", str(path), "--task", "EcmReach-v0"]
+    refused = subprocess.run(wrong, capture_output=True, text=True, check=False)
+    assert refused.returncode == 2
+    assert "NeedleReach-v0" in refused.stderr
+
+
+def test_every_algorithm_s_policy_can_be_exported(tmp_path: Path, server: str) -> None:
+    for algo in ("ppo", "ddpg"):
+        changes = {"epochs": 1} if algo == "ppo" else {}
+        run = train(small(algo, **changes), 0, out=tmp_path, server=server, say=quietly)
+        model = run.policy()
+        network = ReferenceEvaluator(str(export(model, run.config, tmp_path / f"{algo}.onnx")))
+        envs = make_vec(run.config.task_id, 1, seed=3, server=server)
+        seen: Any = envs.reset()
+        expected, _ = model.predict(seen, deterministic=True)
+        inputs = seen if isinstance(seen, dict) else {"observation": seen}
+        (action,) = network.run(None, {name: inputs[name] for name in network.input_names})
+        assert action == pytest.approx(expected, abs=1e-5)
+        envs.close()
+
+
+def test_evaluation_says_how_sure_it_is(
+    trained: Run, server: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    flags = ["--episodes", "12", "--envs", "5", "--server", server]
+    assert main(["evaluate", str(trained.path), *flags]) == 0
+    said = json.loads(capsys.readouterr().out)
+    assert (said["task"], said["episodes"], said["seed"]) == ("NeedleReach-v0", 12, 2_000_000)
+    assert said["confidence_95"] == list(wilson(round(12 * said["success_rate"]), 12))
+    # However many at a time: the same episodes.
+    assert main(["evaluate", str(trained.path), *flags[:2], "--server", server]) == 0
+    assert json.loads(capsys.readouterr().out) == said
+
+
+def test_wilson_s_interval_is_that_of_the_books() -> None:
+    # Newcombe, Statistics in Medicine 17 (1998), table I: 81/263, 15/148, 0/20, 1/29.
+    for successes, trials, low, high in (
+        (81, 263, 0.2553, 0.3662),
+        (15, 148, 0.0624, 0.1605),
+        (0, 20, 0.0000, 0.1611),
+        (1, 29, 0.0061, 0.1718),
+    ):
+        assert wilson(successes, trials) == pytest.approx((low, high), abs=1e-4)
+
+
+def test_scores_are_of_the_episodes_that_were_asked_for(server: str) -> None:
+    class Still:
+        def predict(self, observation: Any, /, *, deterministic: bool) -> tuple[Any, None]:
+            assert deterministic
+            rows = len(observation["observation"] if isinstance(observation, dict) else observation)
+            return np.zeros((rows, 3), np.float32), None
+
+    envs = make_vec("trocar/ActiveTrack-v0", 4, server=server)
+    result = score(Still(), envs, 5, 6)
+    envs.close()
+    single = trocar.TrocarEnv("ActiveTrack-v0", server=server)
+    returns, lengths = [], []
+    for seed in range(5, 11):
+        single.reset(seed=seed)
+        total, steps, over = 0.0, 0, False
+        while not over:
+            _, reward, terminated, truncated, _ = single.step(np.zeros(3))
+            total, steps, over = total + reward, steps + 1, terminated or truncated
+        returns.append(total)
+        lengths.append(steps)
+    single.close()
+    assert result.episodes == 6
+    assert result.mean_length == np.mean(lengths)
+    assert result.mean_return == pytest.approx(np.mean(returns))
+    assert min(lengths) < 500  # some lose the target
+
+
+def test_curves_are_means_over_seeds(tmp_path: Path) -> None:
+    for seed, values in enumerate(([0.0, 0.5], [0.2, 0.7], [0.4, 0.9, 1.0])):
+        run = Run(tmp_path / f"seed-{seed}")
+        run.begin(load("EcmReach", "her"), resume=False)
+        run.write_rows([{"epoch": epoch, "success": value} for epoch, value in enumerate(values)])
+    (made,) = curves(find(tmp_path))
+    assert (made.task, made.label, made.runs) == ("EcmReach-v0", "her", 3)
+    assert made.mean == pytest.approx([0.2, 0.7])
+    assert made.std == pytest.approx([0.2, 0.2])
+    assert made.error == pytest.approx(0.2 / np.sqrt(3))
+    plot([made], tmp_path / "curves.png")
+    write_table([made], tmp_path / "curves.csv")
+    assert (tmp_path / "curves.png").stat().st_size > 0
+    assert len((tmp_path / "curves.csv").read_text().splitlines()) == 3
+    with pytest.raises(ValueError, match="expected a folder with runs"):
+        find(tmp_path / "empty")
+
+
+@pytest.mark.parametrize(
+    ("task", "algo", "changes", "told"),
+    [
+        ("NoSuchTask", "her", {}, "NeedlePick-v0"),
+        ("NeedlePick", "sac", {}, "her-demo"),
+        ("ActiveTrack", "her", {}, "no goals"),
+        ("NeedlePick", "her", {"nosuch": 1}, "batch_size"),
+        ("NeedlePick", "her", {"gamma": "much"}, "gamma"),
+        ("NeedlePick", "her", {"envs": 3}, "3 envs"),
+        ("NeedlePick", "ppo", {"batch_size": 64}, "divides the 2000"),
+        ("NeedlePick", "her", {"train_every": 25}, "multiples of 50"),
+        ("NeedlePick", "her-demo", {"demo_batch": 5000}, "demo_batch"),
+        ("NeedlePick", "her", {"inputs": ["smell"]}, "inputs"),
+    ],
+)
+def test_bad_configurations_are_refused(
+    task: str, algo: str, changes: dict[str, Any], told: str
+) -> None:
+    with pytest.raises(ValueError, match=told):
+        load(task, algo).but(**changes)
+
+
+def test_every_task_has_its_configurations() -> None:
+    for task in trocar.registration.TASKS:
+        for algo in ("ddpg", "ppo"):
+            assert Config.from_json(load(task, algo).to_json()) == load(task, algo)
+    assert load("NeedlePick", "her-demo").policy_weight == 0.001
+    assert load("trocar/MisOrient-v0", "her").norm_eps == 0.01
+
+
+def test_demonstrations_of_something_else_are_refused(tmp_path: Path, server: str) -> None:
+    config = small("her-demo")
+
+    def refused(path: Path, told: str) -> None:
+        with pytest.raises(ValueError, match=told):
+            train(config, 0, out=tmp_path / told, demos=path, server=server, say=quietly)
+
+    other = record("GauzeRetrieve-v0", episodes=1, out=tmp_path, server=server)
+    refused(Path(other.path), "task")
+    option = record("NeedlePick-v0", episodes=1, out=tmp_path, server=server, spawn="narrow")
+    refused(Path(option.path), "options")
+    old = record("NeedlePick-v0", episodes=1, out=tmp_path, name="old-v0", server=server)
+    metadata = Path(old.path) / "data" / "metadata.json"
+    metadata.write_text(metadata.read_text().replace(trocar.__version__, "0.0.9"))
+    refused(Path(old.path), "version")
+    refused(tmp_path / "nothing", "expected the folder")
+
+
+def test_the_command_line_says_what_is_wrong(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    flags = ["--task", "NeedlePick", "--algo", "her"]
+    assert main(["train", "--task", "NoSuchTask", "--algo", "her"]) == 2
+    assert "NeedlePick-v0" in capsys.readouterr().err
+    assert main(["train", *flags, "--set", "noise"]) == 2
+    assert main(["train", *flags, "--server", "no-such-server", "--out", str(tmp_path)]) == 3
+    assert main(["evaluate", str(tmp_path)]) == 2
+    assert "folder of a run" in capsys.readouterr().err
+    assert main(["configs", *flags, "--set", "noise=0.5", "--option", "grasp=weld"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert (told["noise"], told["task_options"]) == (0.5, {"grasp": "weld"})
+
+
+def test_a_missing_extra_is_named() -> None:
+    code = "import sys; sys.modules['stable_baselines3'] = None; import trocar.rl"
+    ended = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=False
+    )
+    assert "pip install trocar[rl]" in ended.stderr

@@ -1,0 +1,137 @@
+//! `trocar demos`: records a scripted expert as a data set.
+//!
+//! Minari and LeRobot are Python packages, and so is what writes their formats: this command checks
+//! what it is asked for and becomes `python -m trocar.demos`, which uses this program as its server.
+
+use std::os::unix::process::CommandExt;
+use std::path::PathBuf;
+use std::process::Command;
+
+use anyhow::Context;
+use clap::{Args, ValueEnum};
+use serde_json::Value;
+use trocar_client::Client;
+use trocar_proto::Options;
+use trocar_server::tasks::Registry;
+
+use crate::options::{self, Given};
+use crate::process::{PYTHON, python};
+
+/// What Python runs: as `-m trocar.demos`, but says what to do where the package is missing.
+const PROGRAM: &str = "\
+import sys
+try:
+    from trocar.demos.__main__ import main
+except ImportError as error:
+    sys.exit(f'error: {sys.executable}: {error}; $TROCAR_PYTHON may name a Python that has trocar[demos]')
+sys.exit(main(sys.argv[1:]))
+";
+
+/// Record a scripted expert as a data set.
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Examples:
+  trocar demos --task NeedlePick-v0                     100 episodes into demos/
+  trocar demos --task PegTransfer-v0 --episodes 500 --out data --resume
+  trocar demos --task NeedleReach-v0 --format lerobot --json
+  MINARI_DATASETS_PATH=demos python -c 'import minari; minari.load_dataset(\"trocar/NeedlePick-v0/expert-v0\")'
+
+Episode k has the seed SEED + k. Those are kept whose last step ends in success. The data set holds the
+task, options, seeds and version that it was made with, and the stage that the expert is in at every
+step. What is done survives an interruption: --resume goes on. Needs a Python with trocar[demos]:
+$TROCAR_PYTHON, else python3. With --json: {task, episodes, kept, path}.")]
+pub(crate) struct Demos {
+    /// A task id of `trocar tasks`
+    #[arg(long)]
+    task: String,
+    /// How many episodes are run
+    #[arg(long, default_value_t = 100, value_parser = clap::value_parser!(u32).range(1..))]
+    episodes: u32,
+    /// Folder of data sets; this one is trocar/TASK/NAME in it
+    #[arg(long, value_name = "DIR", default_value = "demos")]
+    out: PathBuf,
+    /// The data set's name, with a version
+    #[arg(long, default_value = "expert-v0")]
+    name: String,
+    /// What it is written as
+    #[arg(long, value_enum, default_value_t = Format::Minari)]
+    format: Format,
+    /// Episode k has the seed SEED + k
+    #[arg(long, default_value_t = 0)]
+    seed: u64,
+    /// Most environments at a time
+    #[arg(long, default_value_t = 16, value_parser = clap::value_parser!(u32).range(1..))]
+    envs: u32,
+    /// Keep episodes that do not succeed, too
+    #[arg(long)]
+    keep_failures: bool,
+    /// Go on with an interrupted recording
+    #[arg(long)]
+    resume: bool,
+    /// Run in the server of that name instead of in one of its own
+    #[arg(long, value_name = "NAME")]
+    server: Option<String>,
+    #[command(flatten)]
+    options: Given,
+    /// One JSON object on stdout
+    #[arg(long)]
+    json: bool,
+}
+
+/// Formats of data sets.
+#[derive(Debug, Clone, Copy, ValueEnum)]
+enum Format {
+    /// HDF5, for `minari.load_dataset`
+    Minari,
+    /// LeRobot's, version 3.0
+    Lerobot,
+}
+
+impl Demos {
+    pub(crate) fn run(self) -> anyhow::Result<()> {
+        let options = self.checked_options()?;
+        let python = python();
+        let mut command = Command::new(&python);
+        command.args(["-c", PROGRAM, "--task", &self.task, "--name", &self.name]);
+        command.args(["--format", self.format.to_possible_value().expect("all are").get_name()]);
+        command.arg("--out").arg(&self.out);
+        let numbers = [
+            ("--episodes", self.episodes.into()),
+            ("--seed", self.seed),
+            ("--envs", self.envs.into()),
+        ];
+        for (flag, number) in numbers {
+            command.args([flag, &number.to_string()]);
+        }
+        let switches = [
+            ("--keep-failures", self.keep_failures),
+            ("--resume", self.resume),
+            ("--json", self.json),
+        ];
+        command.args(switches.iter().filter(|(_, given)| *given).map(|(flag, _)| flag));
+        if let Some(server) = &self.server {
+            command.args(["--server", server]);
+        }
+        let given = options.0.iter().map(|(name, value)| (name.clone(), options::json(value)));
+        let given: Value = given.collect::<serde_json::Map<_, _>>().into();
+        command.args(["--options", &given.to_string()]);
+        command.env("TROCAR_BINARY", std::env::current_exe()?);
+        // It takes this process's place, and so its terminal, signals and exit code.
+        let error = command.exec();
+        Err(error).with_context(|| format!("{} (${PYTHON} may name another)", python.display()))
+    }
+
+    /// The options, if the task and all of them are known and allowed.
+    fn checked_options(&self) -> anyhow::Result<Options> {
+        let spec = |options: &Options| {
+            anyhow::Ok(match &self.server {
+                Some(name) => Client::connect(name)?.describe(&self.task, options)?,
+                None => Registry::builtin().spec(&self.task, options)?,
+            })
+        };
+        let known = spec(&Options::new())?;
+        let options = options::options(&self.options.assignments(), &known.options)?;
+        spec(&options)?;
+        Ok(options)
+    }
+}
