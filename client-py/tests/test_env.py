@@ -132,6 +132,7 @@ def test_expert_changes_nothing_but_the_info(task: str, server: str) -> None:
     plain, expert = make(task, server), make(task, server, expert=True)
     for a, b in zip(trajectory(plain), trajectory(expert), strict=True):
         assert b[-1].pop("expert_action") in plain.action_space
+        assert 0 <= b[-1].pop("expert_stage") < len(trocar.STAGES)
         assert all(same(x, y) for x, y in zip(a, b, strict=True))
     with pytest.raises(ValueError, match="expert=True"):
         plain.expert_action()
