@@ -37,6 +37,11 @@ const QUICK_SECONDS: f64 = 0.4;
 /// The part of that for which everything runs before it is measured.
 const WARM_UP: f64 = 0.2;
 
+/// Episodes that are begun before that. A session makes the states in which episodes begin when it first
+/// needs them, by simulating; so many seeds leave none of them
+/// ([`COUNT`](trocar_server::tasks::start::COUNT)) to be made while something is measured.
+const BEGINNINGS: u32 = 1024;
+
 /// Measure environment steps per second, in this process and through a server.
 #[derive(Debug, Args)]
 #[command(after_help = "\

@@ -57,6 +57,7 @@ impl PythonClient {
             "envs": job.envs,
             "seconds": job.time.as_secs_f64(),
             "warm_up": super::WARM_UP,
+            "beginnings": super::BEGINNINGS,
         });
         self.process.tell(&wanted.to_string())?;
         self.hear()?;

@@ -6,13 +6,13 @@ use std::thread;
 
 use trocar_client::{Autoreset, CallError, Client, Session, SessionRequest};
 
-use super::{Job, Measured, Stopwatch};
+use super::{BEGINNINGS, Job, Measured, Stopwatch};
 use crate::process::OwnServer;
 
 /// A session, and the expert's actions in it.
 struct Player {
     session: Session,
-    seeds: Vec<u64>,
+    seed: u64,
     expert: Vec<f32>,
 }
 
@@ -26,15 +26,24 @@ impl Player {
             .options(job.options.clone());
         let mut session = client.open(&request)?;
         session.want_expert(job.policy.asks_expert());
-        let seeds = (request.seed..request.seed + u64::from(job.envs)).collect();
         let expert = vec![0.0; session.envs() * session.spec().action_dim()];
-        let mut player = Self { session, seeds, expert };
+        let mut player = Self { session, seed: request.seed, expert };
+        for round in 0..u64::from(BEGINNINGS.div_ceil(job.envs)) {
+            player.reset_from(round * u64::from(job.envs))?;
+        }
         player.reset()?;
         Ok(player)
     }
 
+    /// Begins the episodes that are measured.
     fn reset(&mut self) -> Result<(), CallError> {
-        self.session.start_reset(None, Some(&self.seeds))?;
+        self.reset_from(self.seed)
+    }
+
+    /// Begins an episode in every environment, from seeds that count up.
+    fn reset_from(&mut self, seed: u64) -> Result<(), CallError> {
+        let seeds: Vec<_> = (seed..).take(self.session.envs()).collect();
+        self.session.start_reset(None, Some(&seeds))?;
         let reply = self.session.recv()?;
         self.expert.copy_from_slice(reply.expert_action());
         Ok(())

@@ -8,7 +8,7 @@ use trocar_proto::spec::ImageKind;
 use trocar_server::tasks::Registry;
 use trocar_server::{Env, StepError};
 
-use super::{Job, Measured, Stopwatch};
+use super::{BEGINNINGS, Job, Measured, Stopwatch};
 
 /// An environment, and the expert's actions in it.
 struct Player {
@@ -68,7 +68,8 @@ impl Player {
 
 /// Measures a job.
 pub(super) fn run(registry: &Registry, job: &Job) -> anyhow::Result<Measured> {
-    let env = registry.make(&job.task, &job.options)?;
+    let mut env = registry.make(&job.task, &job.options)?;
+    (0..u64::from(BEGINNINGS)).for_each(|seed| env.reset(Some(seed)));
     let action = vec![0.0; env.spec().action_dim()];
     let pictures = Pictures::of(&env);
     let player = |seed| {

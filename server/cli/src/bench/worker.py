@@ -23,11 +23,12 @@ def measure(job: dict[str, Any], server: str) -> None:
     """Makes the environments, warms up, waits for a line, runs whole episodes, tells the steps."""
     one = job["envs"] == 1
     step, reset, max_steps, close = (single if one else vector)(job, server)
-    reset()
+    for seed in range(0, job["beginnings"], job["envs"]):
+        reset(seed)
     end = time.perf_counter() + job["seconds"] * job["warm_up"]
     while time.perf_counter() < end:
         step()
-    reset()
+    reset(0)
     say(ready=True)
     sys.stdin.readline()
     rounds = 0
@@ -42,7 +43,7 @@ def measure(job: dict[str, Any], server: str) -> None:
     close()
 
 
-Made = tuple[Callable[[], None], Callable[[], None], int, Callable[[], None]]
+Made = tuple[Callable[[], None], Callable[[int], None], int, Callable[[], None]]
 
 
 def random_actions(job: dict[str, Any], shape: tuple[int, ...] | None) -> Any:
@@ -70,10 +71,10 @@ def single(job: dict[str, Any], server: str) -> Made:
         if terminated or truncated:
             env.reset()
 
-    def reset() -> None:
+    def reset(seed: int) -> None:
         nonlocal count
         count = 0
-        env.reset(seed=0)
+        env.reset(seed=seed)
 
     return step, reset, env.task_spec.max_steps, env.close
 
@@ -100,10 +101,10 @@ def vector(job: dict[str, Any], server: str) -> Made:
         count += 1
         *_, infos = envs.step(actions)
 
-    def reset() -> None:
+    def reset(seed: int) -> None:
         nonlocal count, infos
         count = 0
-        _, infos = envs.reset(seed=0)
+        _, infos = envs.reset(seed=seed)
 
     return step, reset, envs.task_spec.max_steps, envs.close
 
