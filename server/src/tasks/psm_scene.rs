@@ -21,7 +21,7 @@
 
 use std::f64::consts::{FRAC_PI_2, PI};
 
-use nalgebra::{Quaternion, Unit, UnitQuaternion, Vector3};
+use nalgebra::Vector3;
 use trocar_proto::spec::{Element, RowSpec};
 use trocar_proto::{Options, Rejection};
 
@@ -37,6 +37,13 @@ use crate::sim::travel::travel;
 use crate::sim::world::{BodyId, SUBSTEPS_PER_SECOND, World};
 
 mod action;
+mod orientation;
+#[cfg(test)]
+mod tests;
+
+use orientation::wrist_from_link;
+pub(super) use orientation::{down, straight_down};
+pub use orientation::{pitch_across, pitch_of, pitched};
 
 /// Simulated time of one step, s.
 pub const SECONDS_PER_STEP: f64 = 0.2;
@@ -84,10 +91,6 @@ pub const STEP_PITCH: f64 = 15.0 * DEGREE;
 
 /// How far the pitch may go either way, rad. Source: the original.
 pub const PITCH_LIMIT: f64 = FRAC_PI_2;
-
-/// Roll and yaw of the wrist links of PSM1 and PSM2 where only their pitch turns, rad: the jaws point
-/// along the scene's x axis and turn about it. Source: the original.
-const PITCHED: [[f64; 2]; 2] = [[0.0, -FRAC_PI_2], [-PI, FRAC_PI_2]];
 
 /// Joint movements that 1.0 stands for, rad; index 2 in m: 10 mm at the usual depth of 0.16 m.
 const JOINT_STEPS: [f64; 6] = [0.06, 0.06, 0.01, STEP_ANGLE, STEP_ANGLE, STEP_ANGLE];
@@ -485,208 +488,4 @@ pub fn step<const N: usize>(
 /// Substeps of a step.
 fn substeps() -> u32 {
     (SECONDS_PER_STEP * SUBSTEPS_PER_SECOND).round() as u32
-}
-
-/// The wrist at `position`, jaws straight down, turned as every episode begins.
-pub(super) fn straight_down(position: [f64; 3]) -> Pose {
-    Pose::from_parts(Vector3::from(position).into(), down())
-}
-
-/// Orientation of a wrist whose jaws point straight down: Euler angles of the link (−90°, 0, 90°).
-/// Source: the original.
-pub(super) fn down() -> UnitQuaternion<f64> {
-    let scene_from_link = UnitQuaternion::from_euler_angles(-FRAC_PI_2, 0.0, FRAC_PI_2);
-    scene_from_link * wrist_from_link().inverse()
-}
-
-/// Orientation of the wrist of `arm` (0 or 1) whose link has this pitch (rad), and roll and yaw as where
-/// only the pitch turns: jaws along the scene's x axis.
-pub fn pitched(arm: usize, pitch: f64) -> UnitQuaternion<f64> {
-    let [roll, yaw] = PITCHED[arm];
-    UnitQuaternion::from_euler_angles(roll, pitch, yaw) * wrist_from_link().inverse()
-}
-
-/// The pitch of a wrist of `arm` that is oriented as in [`pitched`], rad.
-pub fn pitch_of(arm: usize, wrist: &UnitQuaternion<f64>) -> f64 {
-    pitch_along(arm, &hinge(wrist))
-}
-
-/// The pitch, in [−π/2, π/2], at which jaws of `arm` as in [`pitched`] close across the direction `along`.
-pub fn pitch_across(arm: usize, along: &Vector3<f64>) -> f64 {
-    let pitch = pitch_along(arm, along);
-    pitch - PI * (pitch / PI).round() // either finger may be on either side
-}
-
-/// The pitch at which the hinge of jaws as in [`pitched`] lies along `direction`, as far as it can.
-fn pitch_along(arm: usize, direction: &Vector3<f64>) -> f64 {
-    let [level, upright] = [0.0, FRAC_PI_2].map(|pitch| hinge(&pitched(arm, pitch)));
-    libm::atan2(direction.dot(&upright), direction.dot(&level))
-}
-
-/// The axis on which the fingers of a wrist turn.
-fn hinge(wrist: &UnitQuaternion<f64>) -> Vector3<f64> {
-    wrist * wrist_from_link() * Vector3::z()
-}
-
-/// The wrist-yaw link (y along the jaws, z along their hinge) in the frame of dVRK's `measured_cp`
-/// (z along the jaws). Its Euler angles are the original's and, pointing down, far from a wrap.
-fn wrist_from_link() -> UnitQuaternion<f64> {
-    Unit::new_unchecked(Quaternion::new(0.5, 0.5, -0.5, -0.5))
-}
-
-#[cfg(test)]
-mod tests {
-    use super::action::moved;
-    use super::*;
-    use crate::sim::world::Solver;
-    use crate::tasks::tray::pad;
-
-    fn arm(options: &Options) -> (World, PsmArm) {
-        let mut world = World::new(Solver::LIGHT);
-        let paper = PaperAction { turn: Turn::Vertical, jaw: true };
-        let start = [WORKSPACE.min.x, WORKSPACE.max.y, WORKSPACE.max.z + TIP_OFFSET];
-        let mut arm =
-            PsmArm::insert(&mut world, options, paper, Station::psm1(start, pad().max.z)).unwrap();
-        arm.reset(&mut world, &mut Rng::new(0, 0));
-        (world, arm)
-    }
-
-    #[test]
-    fn the_start_is_the_originals() {
-        let (world, arm) = arm(&Options::new());
-        // Joints that the original reports after its reset, to the digits it was read with.
-        let original = [0.2505, -0.0078, 0.1068, -0.3389, -0.0776, -0.2386];
-        for (found, expected) in arm.joints.iter().zip(original) {
-            assert!((found - expected).abs() < 2e-3, "{:?}", arm.joints);
-        }
-        let mut seen = [0.0; PsmArm::OBSERVED];
-        arm.observe(&world, &mut seen);
-        let quarter = std::f32::consts::FRAC_PI_2;
-        for (found, expected) in seen.iter().zip([0.5, 0.05, 0.7552, -quarter, 0.0, quarter, 0.0]) {
-            assert!((found - expected).abs() < 1e-6, "{seen:?}");
-        }
-    }
-
-    #[test]
-    fn every_action_mode_takes_the_wrist_where_its_encoding_says() {
-        for mode in ["paper", "cartesian", "cartesian_abs", "joint"] {
-            let (mut world, mut arm) = arm(&Options::new().with_text("action", mode));
-            let target = moved(
-                arm.scene_from_wrist(),
-                Vector3::new(0.003, -0.004, -0.005),
-                Vector3::new(0.0, 0.0, 0.2),
-            );
-            let mut action = vec![0.0; arm.action_elements().len()];
-            arm.encode(&target, JAW_OPEN, &mut action);
-            assert!(action.iter().all(|number| number.abs() <= 1.0), "{mode}: {action:?}");
-            arm.apply(&mut world, Some(&action));
-            let off = target.inv_mul(arm.scene_from_wrist());
-            assert!(off.translation.vector.norm() < 1e-6, "{mode}: {off}");
-            assert!(off.rotation.angle() < 1e-6, "{mode}");
-            assert!((arm.instrument.posture().jaw - JAW_OPEN).abs() < 1e-6, "{mode}");
-        }
-    }
-
-    #[test]
-    fn no_action_takes_the_jaws_below_their_clearance_or_out_of_reach() {
-        let offset = trocar_proto::OptionValue::Table(std::collections::BTreeMap::from([(
-            "joint_offset".to_string(),
-            vec![0.01, 0.02],
-        )]));
-        for mode in ["paper", "cartesian", "cartesian_abs", "joint"] {
-            let options = Options::new().with_text("action", mode).with("domain", offset.clone());
-            let (mut world, mut arm) = arm(&options);
-            let mut rng = Rng::new(1, 0);
-            let count = arm.action_elements().len();
-            let mut lowest = f64::INFINITY;
-            for _ in 0..2000 {
-                let mut action: Vec<f32> =
-                    (0..count).map(|_| rng.uniform(-1.0, 1.0) as f32).collect();
-                action[2] = if mode == "joint" { 1.0 } else { -1.0 };
-                let before = arm.tip();
-                arm.apply(&mut world, Some(&action));
-                let pose = arm.instrument.posture().world_from_wrist;
-                let low = pose.translation.z - arm.instrument.depth_below_wrist(&pose.rotation);
-                lowest = lowest.min(low);
-                assert!(low > pad().max.z + instrument::CLEARANCE - 1e-7, "{mode}: {low}");
-                assert!((arm.tip() - before).norm() < 0.05, "{mode}: a jump");
-                let limits = arm.kinematics.limits();
-                assert!(arm.joints.iter().zip(limits).all(|(q, l)| l.min <= *q && *q <= l.max));
-            }
-            assert!(lowest < pad().max.z + 1e-3, "{mode}: never came down, {lowest}");
-        }
-    }
-
-    /// PSM1 or PSM2 where both hand over a needle, its jaws at this pitch.
-    fn pitching_arm(arm: usize, pitch: f64) -> (World, PsmArm) {
-        let mut world = World::new(Solver::LIGHT);
-        let paper = PaperAction { turn: Turn::Pitch, jaw: true };
-        let side = [1.0, -1.0][arm];
-        let y = 0.045 * side;
-        let workspace = Aabb::new([0.55, y - 0.035, 0.695], [0.60, y + 0.035, 0.745]);
-        let at = workspace.centre() + Vector3::z() * TIP_OFFSET;
-        let start = Pose::from_parts(at.into(), pitched(arm, pitch));
-        let station = Station { arm, workspace, start, support: pad().max.z, squeeze: None };
-        let mut arm = PsmArm::insert(&mut world, &Options::new(), paper, station).unwrap();
-        arm.reset(&mut world, &mut Rng::new(0, 0));
-        (world, arm)
-    }
-
-    #[test]
-    fn the_pitch_turns_jaws_about_themselves_within_a_quarter_turn() {
-        for (index, [roll, yaw]) in PITCHED.into_iter().enumerate() {
-            let (mut world, mut arm) = pitching_arm(index, -FRAC_PI_2);
-            let along = arm.scene_from_wrist().rotation * Vector3::z();
-            assert!((along - Vector3::x()).norm() < 1e-12, "{along}");
-            let mut seen = [0.0; PsmArm::OBSERVED];
-            for (turn, pitch) in [(1.0, -75.0), (0.4, -69.0), (-1.0, -84.0)] {
-                arm.apply(&mut world, Some(&[0.0, 0.0, 0.0, turn, -1.0]));
-                arm.observe(&world, &mut seen);
-                let expected = [roll, pitch * DEGREE, yaw];
-                for (found, expected) in seen[3..6].iter().zip(expected) {
-                    assert!((f64::from(*found) - expected).abs() < 1e-6, "{seen:?}");
-                }
-            }
-            for _ in 0..2 {
-                arm.apply(&mut world, Some(&[0.0, 0.0, 0.0, -1.0, -1.0]));
-            }
-            arm.observe(&world, &mut seen);
-            // The original's numbers where roll and yaw are not determined.
-            for (found, expected) in seen[3..6].iter().zip([0.0, -FRAC_PI_2, -FRAC_PI_2]) {
-                assert!((f64::from(*found) - expected).abs() < 1e-6, "{seen:?}");
-            }
-        }
-    }
-
-    #[test]
-    fn the_pitch_goes_far_enough_all_over_the_workspace() {
-        for index in 0..2 {
-            let (_, start) = pitching_arm(index, -FRAC_PI_2);
-            for corner in start.reach.corners() {
-                let mut arm = start.clone();
-                let reached =
-                    (-6..=6).map(|step| f64::from(step) * STEP_PITCH).take_while(|pitch| {
-                        let pose = Pose::from_parts(corner.coords.into(), pitched(index, *pitch));
-                        let joints = arm.solve(&arm.confined(pose));
-                        arm.joints = joints.unwrap_or(arm.joints);
-                        joints.is_some()
-                    });
-                // Further, the roll may end at its limit.
-                let last = reached.last().expect("the start's pitch is reached");
-                assert!(last >= 60.0 * DEGREE - 1e-9, "PSM{} at {corner}: {last}", index + 1);
-            }
-        }
-    }
-
-    #[test]
-    fn jaws_close_across_what_their_pitch_is_chosen_for() {
-        for index in 0..2 {
-            for angle in [-1.4, -0.5, 0.0, 0.3, 1.5] {
-                let along = Vector3::new(0.3, libm::cos(angle), libm::sin(angle));
-                let wrist = pitched(index, pitch_across(index, &along));
-                assert!((wrist * Vector3::y()).dot(&along).abs() < 1e-12, "{index} {angle}");
-                assert!((pitch_of(index, &wrist) - pitch_across(index, &along)).abs() < 1e-12);
-            }
-        }
-    }
 }
