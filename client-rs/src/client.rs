@@ -177,6 +177,24 @@ impl Client {
         }
     }
 
+    /// Begins to record an environment of any session, its own or another client's: a snapshot each
+    /// `every` steps and one at the end of each episode. [`Self::recorded`] fetches them.
+    pub fn record(&self, session: u64, env: u32, every: u32) -> Result<(), CallError> {
+        match self.call(&ControlRequest::Record { session, env, every })? {
+            ControlReply::Done => Ok(()),
+            other => Err(unexpected(&other)),
+        }
+    }
+
+    /// The snapshots that were recorded since the last time, as bytes, and how many are missing since
+    /// nobody fetched them for long; to be called at least twice a minute.
+    pub fn recorded(&self, session: u64) -> Result<(Vec<u8>, u64), CallError> {
+        match self.call(&ControlRequest::Recorded { session })? {
+            ControlReply::Recorded { bytes, lost } => Ok((bytes, lost)),
+            other => Err(unexpected(&other)),
+        }
+    }
+
     /// Ends the server, for all of its clients.
     pub fn shut_down(&self) -> Result<(), CallError> {
         match self.call(&ControlRequest::Shutdown)? {

@@ -68,6 +68,22 @@ pub enum ControlRequest {
         /// One part, as [`crate::snapshot::split`] gives it.
         bytes: Vec<u8>,
     },
+    /// Begins to record an environment of any session, from its present episode's beginning on. One is
+    /// recorded at a time: a new recording of a session ends the one before.
+    Record {
+        /// Which session.
+        session: u64,
+        /// Which of its environments.
+        env: u32,
+        /// Steps from one snapshot that is kept to the next, besides those at ends of episodes.
+        every: u32,
+    },
+    /// Asks for what was recorded of a session since the last time; to be repeated at least twice a minute,
+    /// or the recording ends.
+    Recorded {
+        /// Which session.
+        session: u64,
+    },
 }
 
 impl ControlRequest {
@@ -84,6 +100,8 @@ impl ControlRequest {
             Self::DropSnapshots { .. } => 18,
             Self::ExportSnapshot { .. } => 19,
             Self::ImportSnapshot { .. } => 20,
+            Self::Record { .. } => 21,
+            Self::Recorded { .. } => 22,
         }
     }
 }
@@ -99,8 +117,8 @@ pub enum ControlReply {
     Task(TaskSpec),
     /// To [`ControlRequest::OpenSession`].
     Opened(SessionInfo),
-    /// To [`ControlRequest::CloseSession`], [`ControlRequest::DropSnapshots`] and
-    /// [`ControlRequest::Shutdown`].
+    /// To [`ControlRequest::CloseSession`], [`ControlRequest::DropSnapshots`], [`ControlRequest::Record`]
+    /// and [`ControlRequest::Shutdown`].
     Done,
     /// To [`ControlRequest::Status`].
     Status(ServerStatus),
@@ -110,6 +128,13 @@ pub enum ControlReply {
     Exported(Vec<u8>),
     /// To [`ControlRequest::ImportSnapshot`]: the snapshot's number.
     Imported(u64),
+    /// To [`ControlRequest::Recorded`].
+    Recorded {
+        /// Parts one after another, as [`crate::snapshot::split`] takes them; none where nothing is new.
+        bytes: Vec<u8>,
+        /// States that are missing since nobody fetched the earlier ones in time.
+        lost: u64,
+    },
 }
 
 /// Who a client is.

@@ -35,6 +35,7 @@ use crate::tasks::start::Starts;
 
 mod imaging;
 mod rebuild;
+pub mod recording;
 #[cfg(test)]
 #[expect(clippy::float_cmp, reason = "these results are exact")]
 mod tests;
@@ -75,8 +76,8 @@ pub struct Env {
     episode: u64,
     steps: u32,
     state: State,
-    /// Whether it was said that an object is lost.
-    reported_loss: bool,
+    /// The step after which an object was seen to be lost, and said to be.
+    lost_at: Option<u32>,
     noise: Noise,
     /// Steps that an action is on its way.
     latency: usize,
@@ -168,7 +169,7 @@ impl Env {
             episode: 0,
             steps: 0,
             state: State::New,
-            reported_loss: false,
+            lost_at: None,
             noise: Noise { rng: Rng::new(0, 0), sigma: 0.0 },
             latency: 0,
             delayed: VecDeque::new(),
@@ -221,6 +222,11 @@ impl Env {
         })
     }
 
+    /// Whether the last step was the first of the episode after which an object was lost.
+    pub fn has_just_lost_an_object(&self) -> bool {
+        self.lost_at == Some(self.steps)
+    }
+
     /// Begins an episode: episode 0 of `seed`, or without one the next episode of the seed that is
     /// set (the first ever is episode 0 of seed 0).
     pub fn reset(&mut self, seed: Option<u64>) {
@@ -242,7 +248,7 @@ impl Env {
         self.taken.clear();
         self.taken.reserve((self.spec.max_steps as usize * dim).min(RECORDED));
         self.state = State::Running;
-        self.reported_loss = false;
+        self.lost_at = None;
         let mut rng = Rng::new(self.seed, self.episode);
         match &self.beginning {
             Beginning::World(world) => self.world.clone_from(world),
@@ -335,8 +341,8 @@ impl Env {
             return Err(StepError::Simulation { what, step: self.steps });
         }
 
-        if !self.reported_loss && self.has_lost_objects() {
-            self.reported_loss = true;
+        if self.lost_at.is_none() && self.has_lost_objects() {
+            self.lost_at = Some(self.steps);
             let Self { seed, episode, steps, .. } = self;
             tracing::warn!(task = self.spec.id, seed, episode, steps, "an object left the theatre");
         }

@@ -5,6 +5,7 @@
 //! | `serve.rs`, `status.rs`, `stop.rs`, `clean.rs` | a server's life |
 //! | `tasks.rs`, `rollout.rs`, `bench.rs` | what there is to learn, how well a policy does, how fast |
 //! | `render.rs` | pictures of rollouts: contact sheets, moving pictures |
+//! | `record.rs`, `replay.rs` | episodes as files, from which they are played again |
 //! | `demos.rs` | scripted experts as data sets |
 //! | `demo.rs` | one server and three clients in two languages at once |
 //! | `load.rs` | many clients at once that are killed and stopped, each compared with a twin |
@@ -27,7 +28,9 @@ mod options;
 mod output;
 mod policy;
 mod process;
+mod record;
 mod render;
+mod replay;
 mod rollout;
 mod serve;
 mod status;
@@ -56,6 +59,7 @@ A first session:
   trocar render --out all.png                    what every task looks like
   trocar serve --name lab                        a server that trainers share (Ctrl-C ends it)
   trocar rollout --task all --server lab         the same episodes, in that server
+  trocar record --task NeedlePick-v0 --out pick.trocar   an episode, for `trocar replay pick.trocar`
   trocar demos --task NeedlePick-v0 --out data   its scripted expert as a Minari data set
   trocar bench --quick                           how fast this machine is
   trocar load --kill-every 2 --stop-every 5      what many clients, some of them killed, do to it
@@ -90,6 +94,10 @@ enum Command {
     Rollout(rollout::Rollout),
     /// Draw rollouts: a contact sheet, a moving picture, or one picture of each task
     Render(render::Render),
+    /// Record episodes, of a policy or of a session of a server, to play them again
+    Record(record::Record),
+    /// Play a recording again, compare its bits, draw it
+    Replay(replay::Replay),
     /// Record a scripted expert as a data set (Minari, LeRobot)
     Demos(demos::Demos),
     /// Measure environment steps per second, in this process and through a server
@@ -124,6 +132,8 @@ fn run(command: Command) -> anyhow::Result<()> {
         Command::Tasks(tasks) => tasks.run(),
         Command::Rollout(rollout) => rollout.run(),
         Command::Render(render) => render.run(),
+        Command::Record(record) => record.run(),
+        Command::Replay(replay) => replay.run(),
         Command::Demos(demos) => demos.run(),
         Command::Bench(bench) => bench.run(),
         Command::Load(load) => load.run(),

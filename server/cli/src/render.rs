@@ -1,22 +1,23 @@
 //! `trocar render`: pictures of rollouts.
 
 pub(crate) mod image;
+pub(crate) mod look;
 mod place;
 
 use std::path::{Path, PathBuf};
 
 use anyhow::Context;
-use clap::{Args, ValueEnum};
+use clap::Args;
 use trocar_proto::Options;
 use trocar_server::Env;
-use trocar_server::render::{Camera, Renderer, Scene, Software};
+use trocar_server::render::Scene;
 use trocar_server::tasks::Registry;
 
 use crate::exit::Exit;
 use crate::options::{self, Assignment};
 use crate::policy::Policy;
 use image::Image;
-use place::Place;
+use look::{Format, GAP, Look};
 
 /// Draw rollouts: a contact sheet, a moving picture, or one picture of each task.
 #[derive(Debug, Args)]
@@ -40,24 +41,8 @@ pub(crate) struct Render {
     /// Seed of the episode
     #[arg(long, default_value_t = 3)]
     seed: u64,
-    /// Pictures side by side of every moment: overview, endoscope, left, right
-    #[arg(long, value_enum, value_delimiter = ',', default_value = "overview,endoscope")]
-    camera: Vec<Place>,
-    /// Look from here instead: x, y, z, m
-    #[arg(long, value_name = "X,Y,Z", value_parser = place::point, requires = "target")]
-    eye: Option<[f64; 3]>,
-    /// Look at this point: x, y, z, m
-    #[arg(long, value_name = "X,Y,Z", value_parser = place::point, requires = "eye")]
-    target: Option<[f64; 3]>,
-    /// With --eye: height of the view, degrees
-    #[arg(long, default_value_t = 45.0, value_parser = place::angle)]
-    view: f64,
-    /// What is shown: rgb, depth, mask
-    #[arg(long, value_enum, value_delimiter = ',', default_value = "rgb")]
-    show: Vec<Layer>,
-    /// Width and height of each picture, pixels
-    #[arg(long, value_name = "WIDTHxHEIGHT", default_value = "320x240", value_parser = place::size)]
-    size: [usize; 2],
+    #[command(flatten)]
+    look: Look,
     /// In a contact sheet: how many moments of an episode
     #[arg(long, default_value_t = 4, value_parser = clap::value_parser!(u32).range(1..=100))]
     moments: u32,
@@ -72,23 +57,6 @@ pub(crate) struct Render {
     each: Option<PathBuf>,
 }
 
-/// What of a picture is shown.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-pub(crate) enum Layer {
-    /// Colours
-    Rgb,
-    /// The nearer, the brighter
-    Depth,
-    /// A colour for each body
-    Mask,
-}
-
-/// How a file is written.
-enum Format {
-    Sheet,
-    Moving,
-}
-
 impl Render {
     pub(crate) fn run(self) -> anyhow::Result<()> {
         let registry = Registry::builtin();
@@ -101,7 +69,7 @@ impl Render {
         let tasks = options::for_tasks(&self.options, &specs?)?;
         let (path, format) = match (&self.each, &self.out) {
             (Some(folder), _) => return self.each(&registry, &tasks, folder),
-            (None, Some(path)) => (path, format_of(path)?),
+            (None, Some(path)) => (path, Format::of(path)?),
             (None, None) => return Err(Exit::Usage("--out or --each is needed".into()).into()),
         };
         match format {
@@ -109,11 +77,7 @@ impl Render {
                 let mut rows = Vec::new();
                 for (task, options) in &tasks {
                     let episode = self.episode(&registry, task, options)?;
-                    let count = (self.moments as usize).min(episode.len());
-                    let moment = |index: usize| index * (episode.len() - 1) / (count - 1).max(1);
-                    let moments: Result<Vec<_>, _> =
-                        (0..count).map(|index| self.picture(&episode[moment(index)])).collect();
-                    rows.push(Image::beside(&moments?, GAP));
+                    rows.push(self.look.row(&episode, self.moments)?);
                     eprintln!("row {}: {task}, {} steps", rows.len(), episode.len() - 1);
                 }
                 Image::below(&rows, GAP).write_png(path)?;
@@ -124,7 +88,7 @@ impl Render {
                 for (task, options) in &tasks {
                     seconds = registry.spec(task, options)?.seconds_per_step;
                     for scene in self.episode(&registry, task, options)? {
-                        frames.push(self.picture(&scene)?);
+                        frames.push(self.look.picture(&scene)?);
                     }
                     eprintln!("{task}: {} pictures so far", frames.len());
                 }
@@ -147,7 +111,7 @@ impl Render {
         for (task, options) in tasks {
             let episode = self.episode(registry, task, options)?;
             let path = folder.join(format!("{task}.png"));
-            self.picture(&episode[amid(episode.len())])?.write_png(&path)?;
+            self.look.picture(&episode[amid(episode.len())])?.write_png(&path)?;
             eprintln!("wrote {}", path.display());
         }
         Ok(())
@@ -179,31 +143,7 @@ impl Render {
         }
         Ok(scenes)
     }
-
-    /// All that is shown of one moment, side by side.
-    fn picture(&self, scene: &Scene) -> anyhow::Result<Image> {
-        let [width, height] = self.size;
-        let cameras: Vec<Camera> = if let (Some(eye), Some(target)) = (self.eye, self.target) {
-            vec![place::towards(eye, target, self.view)?.camera(width, height)]
-        } else {
-            let camera = |place: &Place| {
-                let camera = scene.camera(place.lens(), width, height);
-                camera.context("this task's scene has no endoscope")
-            };
-            self.camera.iter().map(camera).collect::<anyhow::Result<_>>()?
-        };
-        let renderer = Software::fine();
-        let mut parts = Vec::new();
-        for camera in &cameras {
-            let picture = renderer.picture(scene, camera);
-            parts.extend(self.show.iter().map(|layer| Image::of(&picture, *layer)));
-        }
-        Ok(Image::beside(&parts, 0))
-    }
 }
-
-/// Pixels between pictures of a sheet.
-const GAP: usize = 4;
 
 /// Which of so many moments is amid an episode: the instrument has come to its object.
 fn amid(moments: usize) -> usize {
@@ -212,20 +152,4 @@ fn amid(moments: usize) -> usize {
 
 fn is_at_rest(env: &Env) -> bool {
     env.world().at_rest()
-}
-
-fn format_of(path: &Path) -> anyhow::Result<Format> {
-    let extension = path.extension().and_then(|extension| extension.to_str()).unwrap_or_default();
-    match extension.to_ascii_lowercase().as_str() {
-        "png" => Ok(Format::Sheet),
-        "gif" => Ok(Format::Moving),
-        "mp4" => {
-            let why = "MP4 is not written: no well-kept encoder works without other programs; write a .gif";
-            Err(Exit::Usage(why.into()).into())
-        }
-        _ => {
-            let text = format!("{}: the name ends neither in .png nor in .gif", path.display());
-            Err(Exit::Usage(text).into())
-        }
-    }
 }

@@ -1,6 +1,7 @@
 //! `trocar serve`: start a server that trainers can connect to.
 
 use std::net::{Ipv4Addr, SocketAddr};
+use std::path::PathBuf;
 use std::time::Duration;
 
 use clap::Args;
@@ -71,6 +72,10 @@ pub(crate) struct Serve {
     /// Serve metrics at this address: a port of 127.0.0.1, or ADDRESS:PORT
     #[arg(long, value_name = "ADDR", value_parser = parse_address)]
     metrics: Option<SocketAddr>,
+    /// Record episodes in which the simulation fails or an object is lost in this folder, a hundred at most;
+    /// none records nothing [default: trocar/failures in $XDG_STATE_HOME or ~/.local/state]
+    #[arg(long, value_name = "FOLDER")]
+    failures: Option<PathBuf>,
     #[command(flatten)]
     logging: Logging,
     /// End with the process of this id, however it ends
@@ -108,6 +113,7 @@ impl Serve {
             idle_limit: self.idle_limit,
             drain_limit: self.drain_limit,
             metrics: self.metrics,
+            failures: failures(self.failures),
             follow: self.private.or(self.follow),
             linger: self.private.map(|_| LINGER),
             ..defaults
@@ -124,6 +130,19 @@ impl Serve {
             }
         })?;
         Ok(())
+    }
+}
+
+/// The folder for recordings of failures.
+fn failures(given: Option<PathBuf>) -> Option<PathBuf> {
+    match given {
+        Some(folder) if folder.as_os_str() == "none" => None,
+        Some(folder) => Some(folder),
+        None => {
+            let state = std::env::var_os("XDG_STATE_HOME").map(PathBuf::from);
+            let home = || Some(PathBuf::from(std::env::var_os("HOME")?).join(".local/state"));
+            state.or_else(home).map(|state| state.join("trocar/failures"))
+        }
     }
 }
 

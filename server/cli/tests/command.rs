@@ -76,8 +76,8 @@ impl Drop for Server {
 #[test]
 fn every_help_text_shows_examples() {
     for command in [
-        "serve", "status", "stop", "clean", "tasks", "rollout", "render", "demos", "bench", "load",
-        "demo",
+        "serve", "status", "stop", "clean", "tasks", "rollout", "render", "record", "replay",
+        "demos", "bench", "load", "demo",
     ] {
         let help = run(&[command, "--help"]);
         let text = String::from_utf8(help.stdout).unwrap();

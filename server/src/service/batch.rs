@@ -8,6 +8,7 @@ use trocar_proto::{Code, Rejection, TaskSpec};
 
 use super::rows::Rows;
 use super::scheduler::{Divisible, Scheduler};
+use super::witness::Witness;
 use crate::env::{Env, Rebuild};
 use crate::error::StepError;
 use crate::tasks::Registry;
@@ -104,6 +105,7 @@ impl Batch {
         deed: Deed<'_>,
         env_ids: &[u32],
         want_expert: bool,
+        witness: Witness<'_>,
         rows: Rows<'_>,
         scheduler: &Scheduler,
     ) -> Result<(), Rejection> {
@@ -121,6 +123,7 @@ impl Batch {
             action_dim: self.spec.action_dim(),
             autoreset: self.autoreset,
             want_expert,
+            witness,
             rows,
         };
         scheduler.run(work, &mut cost);
@@ -178,6 +181,7 @@ struct Work<'a> {
     action_dim: usize,
     autoreset: Autoreset,
     want_expert: bool,
+    witness: Witness<'a>,
     rows: Rows<'a>,
 }
 
@@ -215,6 +219,7 @@ impl Divisible for Work<'_> {
             action_dim: self.action_dim,
             autoreset: self.autoreset,
             want_expert: self.want_expert,
+            witness: self.witness,
             rows,
         };
         let now = part(self.first, envs, ids, deed, rows);
@@ -227,15 +232,17 @@ impl Divisible for Work<'_> {
             let env = &mut self.envs[(id - self.first) as usize];
             match self.deed {
                 Deed::Reset(seeds) => {
+                    self.witness.before_leaving(*id, env);
                     env.reset(seeds.map(|seeds| seeds[row]));
                     write_transition(&mut self.rows, row, 0.0, false, false, false, 0);
                     show(env, &mut self.rows, row);
                 }
                 Deed::Step(actions) => {
                     let action = &actions[row * self.action_dim..(row + 1) * self.action_dim];
-                    step(env, action, self.autoreset, &mut self.rows, row);
+                    step(env, action, self.autoreset, (*id, self.witness), &mut self.rows, row);
                 }
                 Deed::Restore(states) => {
+                    self.witness.before_leaving(*id, env);
                     env.clone_from(&states[row]);
                     write_transition(&mut self.rows, row, 0.0, false, false, false, 0);
                     show(env, &mut self.rows, row);
@@ -315,14 +322,23 @@ impl Divisible for Rebuilding<'_> {
 
 /// Steps one environment, or resets it where the autoreset mode says so, and shows where it is.
 /// What it sees is written into the reply at once.
-fn step(env: &mut Env, action: &[f32], autoreset: Autoreset, rows: &mut Rows<'_>, row: usize) {
+fn step(
+    env: &mut Env,
+    action: &[f32],
+    autoreset: Autoreset,
+    (id, witness): (u32, Witness<'_>),
+    rows: &mut Rows<'_>,
+    row: usize,
+) {
     if env.needs_reset() {
         env.reset(None);
         write_transition(rows, row, 0.0, false, false, false, 0);
         return show(env, rows, row);
     }
     let (achieved, desired) = (rows.achieved_goal.row(row), rows.desired_goal.row(row));
-    match env.step_into(action, rows.observation.row(row), achieved, desired) {
+    let result = env.step_into(action, rows.observation.row(row), achieved, desired);
+    witness.after_step(id, env, result.is_err());
+    match result {
         Ok(step) => {
             write_transition(
                 rows,

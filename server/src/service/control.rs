@@ -19,6 +19,7 @@ use super::ports::{self, ControlPorts, Request};
 use super::scheduler::Scheduler;
 use super::session::{self, Account, SessionHandle};
 use super::store::Ledger;
+use super::witness::Failures;
 use super::{ServeError, ServerConfig, StopSignal};
 use crate::tasks::Registry;
 
@@ -53,6 +54,7 @@ pub(super) fn run(
             node: Arc::clone(node),
             epoch,
             idle_limit: config.idle_limit,
+            failures: config.failures.clone().map(Failures::new),
         }),
         sessions: BTreeMap::new(),
         ending: Vec::new(),
@@ -156,6 +158,17 @@ impl Host {
                 let number = self.session_of(session, node).and_then(|one| one.import(&bytes));
                 number.map_or_else(ControlReply::Refused, ControlReply::Imported)
             }
+            Answer::Record { session, env, every } => {
+                let done = self.any_session(session).and_then(|one| one.record(env, every));
+                done.map_or_else(ControlReply::Refused, |()| ControlReply::Done)
+            }
+            Answer::Recorded { session } => {
+                let fetched = self.any_session(session).and_then(SessionHandle::recorded);
+                fetched.map_or_else(ControlReply::Refused, |(bytes, lost)| ControlReply::Recorded {
+                    bytes,
+                    lost,
+                })
+            }
             Answer::Status => ControlReply::Status(self.status()),
             Answer::Shutdown => {
                 // A second time would be an order to hurry.
@@ -208,6 +221,15 @@ impl Host {
     fn session_of(&self, session: u64, node: u128) -> Result<&SessionHandle, Rejection> {
         let found = self.sessions.get(&session).filter(|handle| handle.client().node == node);
         found.ok_or_else(|| no_session(session))
+    }
+
+    /// A session of whichever client.
+    fn any_session(&self, session: u64) -> Result<&SessionHandle, Rejection> {
+        self.sessions.get(&session).ok_or_else(|| {
+            let known: Vec<_> = self.sessions.keys().map(ToString::to_string).collect();
+            let allowed = format!("open sessions: {}", known.join(", "));
+            Rejection::new(Code::UnknownSession, "session", session, allowed)
+        })
     }
 
     /// Closes the sessions of dead clients and removes what they left.

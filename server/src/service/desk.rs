@@ -65,6 +65,20 @@ pub enum Answer {
         /// What is said to be a snapshot.
         bytes: Vec<u8>,
     },
+    /// Begin to record an environment of a session, whoever opened it.
+    Record {
+        /// Which session.
+        session: u64,
+        /// Which of its environments.
+        env: u32,
+        /// Steps from one state that is kept to the next.
+        every: u32,
+    },
+    /// Give what was recorded of a session.
+    Recorded {
+        /// Which session.
+        session: u64,
+    },
     /// Say who is connected.
     Status,
     /// End the server.
@@ -266,6 +280,10 @@ impl Desk {
             ControlRequest::ImportSnapshot { session, node, bytes } => {
                 Answer::Import { session, node, bytes }
             }
+            ControlRequest::Record { session, env, every } => {
+                Answer::Record { session, env, every }
+            }
+            ControlRequest::Recorded { session } => Answer::Recorded { session },
             ControlRequest::Status => Answer::Status,
             ControlRequest::Shutdown => Answer::Shutdown,
         })

@@ -12,6 +12,7 @@
 //! | `ports.rs` | the ends of the transport: how services are made, what a reply is |
 //! | `rows.rs` | the arrays of a reply, row by row |
 //! | `store.rs` | the snapshots of a session, and the memory that they take |
+//! | `witness.rs` | what is written down while environments step: failures, recordings |
 //! | `cpus.rs` | which processors a server uses |
 //! | `scheduler.rs` | turns: which session's environments run on which threads |
 //!
@@ -31,9 +32,11 @@ mod rows;
 mod scheduler;
 mod session;
 mod store;
+mod witness;
 
 use std::io;
 use std::net::SocketAddr;
+use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU8, Ordering};
 use std::time::{Duration, Instant};
@@ -75,6 +78,8 @@ pub struct ServerConfig {
     pub follow: Option<u32>,
     /// How long the server outlives its last client; for ever if `None`.
     pub linger: Option<Duration>,
+    /// The folder where episodes that fail are recorded, a hundred at most; nowhere if `None`.
+    pub failures: Option<PathBuf>,
 }
 
 impl ServerConfig {
@@ -92,6 +97,7 @@ impl ServerConfig {
             metrics: None,
             follow: None,
             linger: None,
+            failures: None,
         }
     }
 }

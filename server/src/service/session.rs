@@ -12,6 +12,7 @@ use trocar_proto::control::{
     self, Autoreset, ClientInfo, ControlReply, SessionInfo, SessionRequest, SessionStatus,
 };
 use trocar_proto::endpoint::{Node, Vigil};
+use trocar_proto::snapshot::MAX_PART;
 use trocar_proto::wire::{Header, MAX_IN_FLIGHT, ReplyLayout, RequestLayout, flag, kind};
 use trocar_proto::{Code, Rejection};
 
@@ -23,6 +24,7 @@ use super::ports::{self, DataPorts, Request};
 use super::rows::Rows;
 use super::scheduler::Scheduler;
 use super::store::{Ledger, Saved, Store};
+use super::witness::{Failures, Tape, Witness};
 use crate::env::{Env, Rebuild};
 use crate::tasks::Registry;
 
@@ -36,6 +38,8 @@ pub(super) struct Ground {
     pub(super) node: Arc<Node>,
     pub(super) epoch: u64,
     pub(super) idle_limit: Duration,
+    /// Where failures are recorded, if they are.
+    pub(super) failures: Option<Failures>,
 }
 
 /// What all sessions of a client have together.
@@ -67,6 +71,7 @@ struct Shared {
     pace: Mutex<Pace>,
     /// `None` until the session is open.
     store: Mutex<Option<Store>>,
+    tape: Tape,
 }
 
 impl Shared {
@@ -121,6 +126,7 @@ pub(super) fn open(
         reason: OnceLock::new(),
         pace: Mutex::new(Pace::new()),
         store: Mutex::new(None),
+        tape: Tape::default(),
     });
     let meter = Arc::clone(&ground.meter);
     // If the thread cannot be started, the request goes back with it and the client is told.
@@ -183,6 +189,21 @@ impl SessionHandle {
     /// Brings a snapshot into the session and gives its number.
     pub(super) fn import(&self, bytes: &[u8]) -> Result<u64, Rejection> {
         self.shared.with_store(|store| store.import(bytes))
+    }
+
+    /// Begins to record one of its environments, a state each `every` steps.
+    pub(super) fn record(&self, env: u32, every: u32) -> Result<(), Rejection> {
+        if env >= self.shared.envs {
+            let allowed = format!("allowed are numbers below {}", self.shared.envs);
+            return Err(Rejection::new(Code::InvalidEnvIds, "env", env, allowed));
+        }
+        self.shared.tape.start(env, every);
+        Ok(())
+    }
+
+    /// What was recorded since the last time, and how many states were lost.
+    pub(super) fn recorded(&self) -> Result<(Vec<u8>, u64), Rejection> {
+        self.shared.tape.fetch(MAX_PART)
     }
 
     pub(super) fn id(&self) -> u64 {
@@ -480,7 +501,9 @@ impl Session {
             }
         };
         let want_expert = asked.flags & flag::WANT_EXPERT != 0;
-        self.batch.apply(deed, env_ids, want_expert, out, scheduler)
+        let failures = self.ground.failures.as_ref();
+        let witness = Witness { failures, tape: &self.shared.tape };
+        self.batch.apply(deed, env_ids, want_expert, witness, out, scheduler)
     }
 
     fn note(&self, start: Instant, steps: u64) {

@@ -7,7 +7,7 @@ use std::path::Path;
 use anyhow::{Context, ensure};
 use trocar_server::render::Picture;
 
-use super::Layer;
+use super::look::Layer;
 
 /// Red, green, blue between pictures of a sheet.
 const BACKGROUND: u8 = 255;
@@ -26,7 +26,7 @@ impl Image {
     }
 
     /// What a layer of a picture looks like.
-    pub(super) fn of(picture: &Picture, layer: Layer) -> Self {
+    pub(crate) fn of(picture: &Picture, layer: Layer) -> Self {
         let rgb = match layer {
             Layer::Rgb => picture.rgb.clone(),
             Layer::Depth => {
@@ -45,7 +45,7 @@ impl Image {
     }
 
     /// Images side by side, `gap` pixels apart.
-    pub(super) fn beside(parts: &[Self], gap: usize) -> Self {
+    pub(crate) fn beside(parts: &[Self], gap: usize) -> Self {
         let width = parts.iter().map(|part| part.width + gap).sum::<usize>().saturating_sub(gap);
         let height = parts.iter().map(|part| part.height).max().unwrap_or(0);
         let mut whole = Self::blank(width, height);
@@ -58,7 +58,7 @@ impl Image {
     }
 
     /// Images below each other, `gap` pixels apart.
-    pub(super) fn below(parts: &[Self], gap: usize) -> Self {
+    pub(crate) fn below(parts: &[Self], gap: usize) -> Self {
         let height = parts.iter().map(|part| part.height + gap).sum::<usize>().saturating_sub(gap);
         let width = parts.iter().map(|part| part.width).max().unwrap_or(0);
         let mut whole = Self::blank(width, height);
@@ -101,7 +101,7 @@ fn colour_of(body: i32) -> [u8; 3] {
 }
 
 /// Writes images of the same size as a moving picture; each is shown for `seconds`.
-pub(super) fn write_gif(path: &Path, frames: &[Image], seconds: f64) -> anyhow::Result<()> {
+pub(crate) fn write_gif(path: &Path, frames: &[Image], seconds: f64) -> anyhow::Result<()> {
     /// From 1, slow and best, to 30.
     const SPEED: i32 = 10;
     let first = frames.first().context("nothing to show")?;
