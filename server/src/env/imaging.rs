@@ -4,6 +4,7 @@ use trocar_proto::spec::{ImageKind, ImageSpec};
 use trocar_proto::{Code, OptionValue, Options, Rejection};
 
 use crate::render::{Camera, Canvas, Lens, Renderer, Scene, Software};
+use crate::tasks::options;
 
 /// The pictures of an environment.
 #[derive(Debug, Clone)]
@@ -20,10 +21,7 @@ impl Imaging {
         options: &Options,
         scene: impl FnOnce() -> Scene,
     ) -> Result<Option<Self>, Rejection> {
-        let Some(OptionValue::Texts(wanted)) = options.0.get("observation") else {
-            return Ok(None);
-        };
-        let is_wanted = |name: &str| wanted.iter().any(|word| word == name);
+        let is_wanted = |name: &str| options::observes(options, name);
         let kinds: Vec<_> =
             ImageKind::ALL.into_iter().filter(|kind| is_wanted(kind.name())).collect();
         if kinds.is_empty() {
@@ -50,7 +48,7 @@ impl Imaging {
             intrinsics: [intrinsics.fx, intrinsics.fy, intrinsics.cx, intrinsics.cy],
             far: camera.far as f32,
             bodies: scene.bodies().iter().map(ToString::to_string).collect(),
-            with_state: is_wanted("state"),
+            with_state: is_wanted("state") || options::perceives(options),
         };
         Ok(Some(Self { spec, lenses, renderer: Software::default() }))
     }

@@ -103,6 +103,26 @@ pub fn observation() -> OptionSpec {
     }
 }
 
+/// The word of `observation` for a state whose target is sought in the endoscope's picture.
+const PERCEIVED: &str = "perceived";
+
+/// `observation` of tasks whose target can be sought in the endoscope's picture.
+pub fn observation_or_perceived() -> OptionSpec {
+    let words = ["state", PERCEIVED].map(String::from);
+    OptionSpec { allowed: Allowed::SomeOf(words.to_vec()), ..observation() }
+}
+
+/// Whether resolved options ask for a target that is sought in the endoscope's picture.
+pub fn perceives(options: &Options) -> bool {
+    observes(options, PERCEIVED)
+}
+
+/// Whether resolved options ask for an observation of this name.
+pub(crate) fn observes(options: &Options, name: &str) -> bool {
+    let wanted = options.0.get("observation");
+    matches!(wanted, Some(OptionValue::Texts(words)) if words.iter().any(|word| word == name))
+}
+
 /// The options that pictures bring to every task that has `observation`: what it accepts besides the state,
 /// `image_size` and `camera`.
 pub(super) fn with_images(mut known: Vec<OptionSpec>) -> Vec<OptionSpec> {
@@ -113,6 +133,9 @@ pub(super) fn with_images(mut known: Vec<OptionSpec>) -> Vec<OptionSpec> {
                            depth (m), mask (bodies) and points (m) are pictures."
         .into();
     if let Allowed::SomeOf(words) = &mut observation.allowed {
+        if words.iter().any(|word| word == PERCEIVED) {
+            observation.summary += " perceived: a state whose target is found in the endoscope's picture.";
+        }
         words.extend(ImageKind::ALL.map(|kind| kind.name().to_string()));
     }
     known.push(OptionSpec {
