@@ -57,6 +57,8 @@ fn pictures_have_the_same_bits_in_process_and_through_a_session() {
         ("NeedlePick-v0", everything.as_slice(), "endoscope"),
         ("PegTransfer-v0", &["rgb", "points"], "stereo"),
         ("StaticTrack-v0", &["state", "mask"], "overview"),
+        ("ActiveTrack-v0", &["perceived", "rgb"], "endoscope"),
+        ("GauzeRetrieve-v0", &["rgb", "depth", "points"], "placed"),
     ] {
         let options = options(kinds, camera);
         let request = SessionRequest::new(task).envs(ENVS as u32).seed(7).options(options.clone());
@@ -132,6 +134,15 @@ fn sizes_and_cameras_that_are_not_there_are_refused_by_name() {
         ),
         ("options.image_size", rgb.clone().with("image_size", OptionValue::Numbers(vec![64.0]))),
         ("options.camera", rgb.clone().with_text("camera", "ceiling")),
+        (
+            "options.camera_eye",
+            rgb.clone()
+                .with_text("camera", "placed")
+                .with("camera_eye", OptionValue::Numbers(vec![0.5; 3]))
+                .with("camera_target", OptionValue::Numbers(vec![0.5; 3])),
+        ),
+        ("options.camera_view", rgb.clone().with("camera_view", OptionValue::Number(180.0))),
+        ("options.observation", options(&["perceived"], "endoscope")),
         ("options.observation", options(&["rgb", "smell"], "endoscope")),
     ] {
         let request = SessionRequest::new("NeedleReach-v0").options(value);

@@ -60,6 +60,57 @@ def test_stereo_gives_two_of_each() -> None:
     env.close()
 
 
+def test_a_camera_can_be_placed() -> None:
+    eye, target = (0.5, -0.25, 1.0), (0.5, 0.0, 0.7)
+    env = make(
+        "NeedlePick-v0",
+        observation=("mask", "points"),
+        camera="placed",
+        camera_eye=eye,
+        camera_target=target,
+        camera_view=40.0,
+    )
+    observation, _ = env.reset(seed=2)
+    images = env.unwrapped.task_spec.images
+    (camera_from_world,) = np.array(images.camera_from_world)
+    turn, shift = camera_from_world[:, :3], camera_from_world[:, 3]
+    np.testing.assert_allclose(turn @ turn.T, np.eye(3), atol=1e-12)
+    np.testing.assert_allclose(turn @ eye + shift, np.zeros(3), atol=1e-12)
+    distance = np.linalg.norm(np.subtract(target, eye))
+    np.testing.assert_allclose(turn @ target + shift, (0, 0, distance), atol=1e-12)
+    assert images.intrinsics[1] == pytest.approx(SIZE[0] / 2 / np.tan(np.radians(20)))
+    # What lies on the pad lies at one height in the world.
+    pad = images.bodies.index("pad") + 1
+    on_pad = (observation["points"][observation["mask"].ravel() == pad] - shift) @ turn
+    assert len(on_pad) > 20
+    assert np.ptp(np.percentile(on_pad[:, 2], (10, 90))) < 1e-3
+    env.close()
+
+
+def test_a_camera_that_moves_has_no_place() -> None:
+    for task, places in (("StaticTrack-v0", 0), ("NeedlePick-v0", 2)):
+        env = make(task, observation=("rgb",), camera="stereo")
+        assert len(env.unwrapped.task_spec.images.camera_from_world) == places
+        env.close()
+
+
+@pytest.mark.parametrize("task", ["StaticTrack-v0", "ActiveTrack-v0"])
+def test_a_target_can_be_perceived(task: str) -> None:
+    perceived = gym.make(f"trocar/{task}", observation=("perceived",))
+    known = gym.make(f"trocar/{task}")
+    assert perceived.observation_space == known.observation_space
+    (seen, _), (known_of, _) = perceived.reset(seed=4), known.reset(seed=4)
+    if isinstance(seen, dict):
+        np.testing.assert_array_equal(seen["achieved_goal"], known_of["achieved_goal"])
+        seen, known_of = seen["observation"], known_of["observation"]
+    assert seen[6] == 1
+    assert (seen[7:9] != known_of[7:9]).any()
+    np.testing.assert_allclose(seen[7:9], known_of[7:9], atol=0.1)
+    np.testing.assert_array_equal(np.delete(seen, [7, 8]), np.delete(known_of, [7, 8]))
+    perceived.close()
+    known.close()
+
+
 def test_tasks_without_goals_return_dictionaries_with_pictures() -> None:
     env = make("ActiveTrack-v0", observation=("state", "rgb"))
     observation, _ = env.reset(seed=1)
@@ -126,8 +177,16 @@ def test_without_a_copy_pictures_lie_in_shared_memory() -> None:
 
 @pytest.mark.parametrize(
     "options",
-    [{"image_size": (12.5, 20)}, {"image_size": (4, 4)}, {"camera": "ceiling"}],
+    [
+        {"image_size": (12.5, 20)},
+        {"image_size": (4, 4)},
+        {"camera": "ceiling"},
+        {"camera_eye": (1.0, 1.0), "camera": "placed"},
+        {"camera_eye": (1.0, 1.0, 1.0), "camera": "placed", "camera_target": (1.0, 1.0, 1.0)},
+        {"camera_view": 180.0, "camera": "placed"},
+        {"observation": ("perceived",)},
+    ],
 )
 def test_what_is_not_allowed_is_refused(options: dict[str, Any]) -> None:
     with pytest.raises(ValueError, match=next(iter(options))):
-        trocar.TrocarEnv("NeedleReach-v0", observation=("rgb",), **options)
+        trocar.TrocarEnv("NeedleReach-v0", **{"observation": ("rgb",), **options})

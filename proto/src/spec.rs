@@ -84,7 +84,8 @@ impl Element {
 }
 
 /// The pictures of an observation. Their cameras are OpenCV's: x to the right, y down, z forward; pixel
-/// (u, v), from 0, shows what lies along ((u − cx)/fx, (v − cy)/fy, 1).
+/// (u, v), from 0, shows what lies along ((u − cx)/fx, (v − cy)/fy, 1). With the depth d it shows the point
+/// d · ((u − cx)/fx, (v − cy)/fy, 1) in the axes of its camera, m.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct ImageSpec {
     /// What there is of each view.
@@ -97,6 +98,9 @@ pub struct ImageSpec {
     pub width: usize,
     /// Focal lengths and optical axis, pixels: fx, fy, cx, cy.
     pub intrinsics: [f64; 4],
+    /// Where the camera of each view stands: rows of OpenCV's [R | t], which takes points of the world (m) to
+    /// the axes of the camera. Empty where the camera moves.
+    pub camera_from_world: Vec<[[f64; 4]; 3]>,
     /// Greatest depth, m: that of pixels that show nothing.
     pub far: f32,
     /// Names of the bodies: number n of a mask is the name at n − 1, and 0 is nothing.

@@ -303,6 +303,7 @@ mod tests {
             height: 3,
             width: 5,
             intrinsics: [4.0, 4.0, 2.0, 1.0],
+            camera_from_world: vec![],
             far: 10.0,
             bodies: vec![],
             with_state: true,

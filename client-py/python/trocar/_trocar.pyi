@@ -278,6 +278,9 @@ class ImageSpec:
     def intrinsics(self) -> list[float]:
         """Focal lengths and optical axis, pixels: fx, fy, cx, cy."""
     @property
+    def camera_from_world(self) -> list[list[list[float]]]:
+        """Where each view's camera stands, empty where it moves: rows of OpenCV's [R | t], world to camera."""
+    @property
     def far(self) -> float:
         """Greatest depth, m: that of pixels that show nothing."""
     @property

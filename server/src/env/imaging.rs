@@ -1,15 +1,42 @@
 //! Pictures as observations: which are asked for, and how they are drawn.
 
+use nalgebra::Vector3;
 use trocar_proto::spec::{ImageKind, ImageSpec};
 use trocar_proto::{Code, OptionValue, Options, Rejection};
 
-use crate::render::{Camera, Canvas, Lens, Renderer, Scene, Software};
+use crate::render::camera::extrinsics;
+use crate::render::{Camera, Canvas, Lens, Renderer, Scene, Software, Viewpoint};
+use crate::tasks::options;
+
+/// Least distance of a placed camera from what it looks at, m.
+const LEAST_DISTANCE: f64 = 1e-3;
+
+/// Least depth that a placed camera sees, m.
+const NEAR: f64 = 0.005;
+
+/// From where a view is seen.
+#[derive(Debug, Clone, Copy)]
+enum Eye {
+    /// What the task has.
+    Lens(Lens),
+    /// What the options say.
+    Placed(Viewpoint),
+}
+
+impl Eye {
+    fn viewpoint(&self, scene: &Scene) -> Option<Viewpoint> {
+        match self {
+            Self::Lens(lens) => scene.viewpoint(*lens),
+            Self::Placed(viewpoint) => Some(*viewpoint),
+        }
+    }
+}
 
 /// The pictures of an environment.
 #[derive(Debug, Clone)]
 pub(crate) struct Imaging {
     spec: ImageSpec,
-    lenses: Vec<Lens>,
+    eyes: Vec<Eye>,
     renderer: Software,
 }
 
@@ -20,39 +47,42 @@ impl Imaging {
         options: &Options,
         scene: impl FnOnce() -> Scene,
     ) -> Result<Option<Self>, Rejection> {
-        let Some(OptionValue::Texts(wanted)) = options.0.get("observation") else {
-            return Ok(None);
-        };
-        let is_wanted = |name: &str| wanted.iter().any(|word| word == name);
+        let is_wanted = |name: &str| options::observes(options, name);
         let kinds: Vec<_> =
             ImageKind::ALL.into_iter().filter(|kind| is_wanted(kind.name())).collect();
         if kinds.is_empty() {
             return Ok(None);
         }
         let [height, width] = size(options)?;
-        let (lenses, views): (_, &[&str]) = match options.text("camera") {
-            Some("overview") => (vec![Lens::Overview], &[""]),
-            Some("stereo") => (vec![Lens::Left, Lens::Right], &["_left", "_right"]),
-            _ => (vec![Lens::Endoscope], &[""]),
+        let lens = Eye::Lens;
+        let (eyes, views): (_, &[&str]) = match options.text("camera") {
+            Some("overview") => (vec![lens(Lens::Overview)], &[""]),
+            Some("stereo") => (vec![lens(Lens::Left), lens(Lens::Right)], &["_left", "_right"]),
+            Some("placed") => (vec![Eye::Placed(placed(options)?)], &[""]),
+            _ => (vec![lens(Lens::Endoscope)], &[""]),
         };
         let scene = scene();
-        let Some(camera) = scene.camera(lenses[0], width, height) else {
-            let allowed = "this task has no endoscope; allowed is overview";
+        let viewpoints: Vec<_> = eyes.iter().filter_map(|eye| eye.viewpoint(&scene)).collect();
+        let Some(viewpoint) = viewpoints.first() else {
+            let allowed = "this task has no endoscope; allowed are overview and placed";
             let given = options.text("camera").unwrap_or_default();
             return Err(Rejection::new(Code::InvalidOption, "options.camera", given, allowed));
         };
+        let camera = viewpoint.camera(width, height);
         let intrinsics = camera.intrinsics;
+        let fixed = viewpoints.iter().filter(|viewpoint| viewpoint.is_fixed);
         let spec = ImageSpec {
             kinds,
             views: views.iter().map(ToString::to_string).collect(),
             height,
             width,
             intrinsics: [intrinsics.fx, intrinsics.fy, intrinsics.cx, intrinsics.cy],
+            camera_from_world: fixed.map(|each| extrinsics(&each.world_from_camera)).collect(),
             far: camera.far as f32,
             bodies: scene.bodies().iter().map(ToString::to_string).collect(),
-            with_state: is_wanted("state"),
+            with_state: is_wanted("state") || options::perceives(options),
         };
-        Ok(Some(Self { spec, lenses, renderer: Software::default() }))
+        Ok(Some(Self { spec, eyes, renderer: Software::default() }))
     }
 
     /// What the pictures are like.
@@ -80,10 +110,9 @@ impl Imaging {
         let mut depth = depth.chunks_exact_mut(pixels);
         let mut mask = mask.chunks_exact_mut(pixels);
         let mut points = points.chunks_exact_mut(3 * pixels);
-        for lens in &self.lenses {
-            let Some(camera) = scene.camera(*lens, self.spec.width, self.spec.height) else {
-                return;
-            };
+        for eye in &self.eyes {
+            let Some(viewpoint) = eye.viewpoint(scene) else { return };
+            let camera = viewpoint.camera(self.spec.width, self.spec.height);
             let mut depth = match depth.next() {
                 Some(depth) => Some(depth),
                 None if own_depth.is_empty() => None,
@@ -111,6 +140,23 @@ fn size(options: &Options) -> Result<[usize; 2], Rejection> {
         let allowed = "allowed are two whole numbers from 8 to 1024";
         Rejection::new(Code::InvalidOption, "options.image_size", given, allowed)
     })
+}
+
+/// The camera that resolved options place.
+fn placed(options: &Options) -> Result<Viewpoint, Rejection> {
+    let point = |name: &str| match options.0.get(name) {
+        Some(OptionValue::Numbers(numbers)) => <[f64; 3]>::try_from(numbers.as_slice()).ok(),
+        _ => None,
+    };
+    let [eye, target] = ["camera_eye", "camera_target"]
+        .map(|name| point(name).expect("resolved options have three numbers"));
+    if (Vector3::from(eye) - Vector3::from(target)).norm() < LEAST_DISTANCE {
+        let allowed = format!("at least {LEAST_DISTANCE} m from camera_target, {target:?}");
+        let given = format!("{eye:?}");
+        return Err(Rejection::new(Code::InvalidOption, "options.camera_eye", given, allowed));
+    }
+    let view = options.number("camera_view").expect("resolved options have a number").to_radians();
+    Ok(Viewpoint { near: NEAR, ..Viewpoint::towards(eye, target, view) })
 }
 
 /// Where the surfaces of all pixels are in the camera's axes.

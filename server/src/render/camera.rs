@@ -73,20 +73,22 @@ pub struct Viewpoint {
     pub near: f64,
     /// Greatest depth that is seen, m; what nothing is in front of has this depth.
     pub far: f64,
+    /// Whether it is there at every moment of every episode.
+    pub is_fixed: bool,
 }
 
 impl Viewpoint {
-    /// From `eye` towards `target`, m, the world's z axis up in the picture; it must not look straight up
-    /// or down.
+    /// From `eye` towards `target`, m, the world's z axis up in the picture; where it looks straight up or
+    /// down, the world's x axis is to the right.
     pub fn towards(eye: [f64; 3], target: [f64; 3], view: f64) -> Self {
         let (eye, target) = (Vector3::from(eye), Vector3::from(target));
         let forward = (target - eye).normalize();
-        let right = forward.cross(&Vector3::z()).normalize();
+        let right = forward.cross(&Vector3::z()).try_normalize(1e-6).unwrap_or_else(Vector3::x);
         let down = forward.cross(&right);
         let axes = Rotation3::from_basis_unchecked(&[right, down, forward]);
         let turn = UnitQuaternion::from_rotation_matrix(&axes);
         let world_from_camera = Pose::from_parts(eye.into(), turn);
-        Self { world_from_camera, view, near: 0.05, far: 20.0 }
+        Self { world_from_camera, view, near: 0.05, far: 20.0, is_fixed: true }
     }
 
     /// The camera here whose picture has so many pixels.
@@ -142,6 +144,12 @@ impl Camera {
     }
 }
 
+/// The rows of OpenCV's [R | t]: what takes points of the world (m) to the axes of the camera.
+pub fn extrinsics(world_from_camera: &Pose) -> [[f64; 4]; 3] {
+    let camera_from_world = world_from_camera.inverse().to_homogeneous();
+    std::array::from_fn(|row| std::array::from_fn(|column| camera_from_world[(row, column)]))
+}
+
 /// A camera's pose from that of dVRK's camera frame, whose axes are left, up, forward.
 pub fn from_dvrk(world_from_camera: &Pose) -> Pose {
     let half_turn = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), std::f64::consts::PI);
@@ -177,6 +185,18 @@ mod tests {
         assert!(at([0.0, 0.0, 0.6])[1] < row);
         // Seen from +x, +y is to the right.
         assert!(at([0.0, 0.1, 0.5])[0] > column);
+    }
+
+    #[test]
+    fn from_above_the_picture_is_a_map() {
+        let camera = Viewpoint::towards([0.2, 0.3, 2.0], [0.2, 0.3, 0.0], FRAC_PI_3).camera(9, 9);
+        let at = |x: f64, y: f64| camera.project(&Point3::new(x, y, 1.0)).unwrap();
+        assert!((at(0.2, 0.3)[0] - 4.0).abs() < 1e-12 && (at(0.2, 0.3)[1] - 4.0).abs() < 1e-12);
+        assert!(at(0.3, 0.3)[0] > 4.5 && at(0.2, 0.4)[1] < 3.5);
+        let [column, row, depth] = at(0.5, 0.1);
+        assert!(
+            (camera.back_project(column, row, depth) - Point3::new(0.5, 0.1, 1.0)).norm() < 1e-12
+        );
     }
 
     #[test]

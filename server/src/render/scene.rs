@@ -214,22 +214,25 @@ impl Scene {
             let eye = centre + Vector3::from(direction).normalize() * distance;
             Viewpoint::towards(eye.into(), centre.into(), view)
         };
-        self.overview = from([1.0, 0.5, 0.7], 2.8 * size, 0.75 * FRAC_PI_3);
+        let overview = from([1.0, 0.5, 0.7], 2.8 * size, 0.75 * FRAC_PI_3);
+        self.overview = Viewpoint { is_fixed: false, ..overview };
         self.endoscope = Some(Viewpoint {
             near: 0.01,
             far: 10.0,
+            is_fixed: false,
             ..from([1.0, 0.0, 1.2], 2.0 * size, FRAC_PI_3)
         });
     }
 
-    /// Lets the endoscope look from where dVRK's camera frame (left, up, forward) is: 60° high, from 10 mm
-    /// to 10 m. Source: the original.
-    pub fn look_through(&mut self, world_from_camera: &Pose) {
+    /// Lets the endoscope look from where dVRK's camera frame (left, up, forward) is, or for the moment is: 60°
+    /// high, from 10 mm to 10 m. Source: the original.
+    pub fn look_through(&mut self, world_from_camera: &Pose, is_fixed: bool) {
         self.endoscope = Some(Viewpoint {
             world_from_camera: camera::from_dvrk(world_from_camera),
             view: FRAC_PI_3,
             near: 0.01,
             far: 10.0,
+            is_fixed,
         });
     }
 
@@ -256,13 +259,17 @@ impl Scene {
 
     /// The camera that a lens gives; none where the scene has no endoscope.
     pub fn camera(&self, lens: Lens, width: usize, height: usize) -> Option<Camera> {
-        let viewpoint = match lens {
+        Some(self.viewpoint(lens)?.camera(width, height))
+    }
+
+    /// From where a lens looks; none where the scene has no endoscope.
+    pub fn viewpoint(&self, lens: Lens) -> Option<Viewpoint> {
+        Some(match lens {
             Lens::Overview => self.overview,
             Lens::Endoscope => self.endoscope?,
             Lens::Left => self.endoscope?.moved_right(-HALF_BASELINE),
             Lens::Right => self.endoscope?.moved_right(HALF_BASELINE),
-        };
-        Some(viewpoint.camera(width, height))
+        })
     }
 }
 

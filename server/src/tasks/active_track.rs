@@ -57,6 +57,8 @@
 //!
 //! `action`, `observation`, and:
 //!
+//! - `"perceived"` in `observation`: numbers 6 to 8 come from the endoscope's picture, see
+//!   [`track`](super::track); beside pictures it stands for `"state"`.
 //! - `preset = "surrol"`: the reward is 1 − (‖p‖ / 2 + 0.1 · |w|) with the roll rate w of the
 //!   original's law, 25 · θ*, rad/s, which also is number 9 of the observation; angles of dVRK's own
 //!   camera frame, about ±π for a straight arm; actions with the opposite sign, as the original's
@@ -146,7 +148,7 @@ impl Task for ActiveTrack {
     fn options() -> Vec<OptionSpec> {
         vec![
             options::action(),
-            options::observation(),
+            options::observation_or_perceived(),
             options::preset(),
             options::domain_with(options::camera_rows(CAMERA_ANGLE)),
             options::setup(&Tracker::setup_rows()),

@@ -232,7 +232,7 @@ impl EcmArm {
         theatre::draw_tiles(scene);
         let joints = std::array::from_fn(|joint| self.joints[joint] + self.offsets[joint]);
         theatre::draw_ecm(scene, &self.world_from_rcm, &joints);
-        scene.look_through(&self.camera_with(&joints));
+        scene.look_through(&self.camera_with(&joints), false);
         scene.stage = Aabb::new([-0.8, -0.7, 0.0], [0.9, 0.7, 0.9]);
         scene.overview = Viewpoint::towards([1.75, -0.95, 1.45], [0.18, -0.02, 0.55], OVERVIEW);
     }

@@ -42,6 +42,7 @@ pub mod path;
 pub mod peg_board;
 pub mod peg_expert;
 pub mod peg_transfer;
+pub mod perception;
 pub mod pick;
 pub mod psm_scene;
 pub mod start;

@@ -103,8 +103,28 @@ pub fn observation() -> OptionSpec {
     }
 }
 
+/// The word of `observation` for a state whose target is sought in the endoscope's picture.
+const PERCEIVED: &str = "perceived";
+
+/// `observation` of tasks whose target can be sought in the endoscope's picture.
+pub fn observation_or_perceived() -> OptionSpec {
+    let words = ["state", PERCEIVED].map(String::from);
+    OptionSpec { allowed: Allowed::SomeOf(words.to_vec()), ..observation() }
+}
+
+/// Whether resolved options ask for a target that is sought in the endoscope's picture.
+pub fn perceives(options: &Options) -> bool {
+    observes(options, PERCEIVED)
+}
+
+/// Whether resolved options ask for an observation of this name.
+pub(crate) fn observes(options: &Options, name: &str) -> bool {
+    let wanted = options.0.get("observation");
+    matches!(wanted, Some(OptionValue::Texts(words)) if words.iter().any(|word| word == name))
+}
+
 /// The options that pictures bring to every task that has `observation`: what it accepts besides the state,
-/// `image_size` and `camera`.
+/// `image_size`, `camera` and where a placed camera is.
 pub(super) fn with_images(mut known: Vec<OptionSpec>) -> Vec<OptionSpec> {
     let Some(observation) = known.iter_mut().find(|option| option.name == "observation") else {
         return known;
@@ -113,6 +133,10 @@ pub(super) fn with_images(mut known: Vec<OptionSpec>) -> Vec<OptionSpec> {
                            depth (m), mask (bodies) and points (m) are pictures."
         .into();
     if let Allowed::SomeOf(words) = &mut observation.allowed {
+        if words.iter().any(|word| word == PERCEIVED) {
+            observation.summary +=
+                " perceived: a state whose target is found in the endoscope's picture.";
+        }
         words.extend(ImageKind::ALL.map(|kind| kind.name().to_string()));
     }
     known.push(OptionSpec {
@@ -123,9 +147,28 @@ pub(super) fn with_images(mut known: Vec<OptionSpec>) -> Vec<OptionSpec> {
     });
     known.push(OptionSpec::choice(
         "camera",
-        "From where: endoscope (60° high), overview, or stereo, both lenses of the endoscope.",
-        &["endoscope", "overview", "stereo"],
+        "From where: endoscope (60° high), overview, stereo, both lenses of the endoscope, or placed: where \
+         camera_eye says.",
+        &["endoscope", "overview", "stereo", "placed"],
     ));
+    let place = |name: &str, summary: &str, default: [f64; 3]| OptionSpec {
+        name: name.into(),
+        summary: summary.into(),
+        default: OptionValue::Numbers(default.to_vec()),
+        allowed: Allowed::Vector { count: 3, min: -10.0, max: 10.0 },
+    };
+    let eye = "Where a placed camera is: x, y, z in the world, m.";
+    let target = "What a placed camera has in the middle of its picture: x, y, z in the world, m.";
+    known.extend([
+        place("camera_eye", eye, [1.1, 0.6, 1.1]),
+        place("camera_target", target, [0.5, 0.0, 0.7]),
+        OptionSpec {
+            name: "camera_view".into(),
+            summary: "Height of a placed camera's view, degrees.".into(),
+            default: OptionValue::Number(45.0),
+            allowed: Allowed::Range { min: 1.0, max: 150.0 },
+        },
+    ]);
     known
 }
 

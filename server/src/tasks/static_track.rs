@@ -57,6 +57,8 @@
 //!
 //! `reward`, `action`, `observation`, and:
 //!
+//! - `"perceived"` in `observation`: numbers 6 to 8 come from the endoscope's picture, see
+//!   [`track`](super::track); beside pictures it stands for `"state"`.
 //! - `preset = "surrol"`: angles of dVRK's own camera frame, about ±π for a straight arm; actions
 //!   with the opposite sign, as the original's control law takes them (inferred from its expert);
 //!   number 9 is the roll rate of the original's law, 25 · θ*, rad/s. Not reproduced: pixels, dVRK's
@@ -144,7 +146,7 @@ impl Task for StaticTrack {
         vec![
             options::reward(),
             options::action(),
-            options::observation(),
+            options::observation_or_perceived(),
             options::preset(),
             options::domain_with(options::camera_rows(CAMERA_ANGLE)),
             options::setup(&Tracker::setup_rows()),

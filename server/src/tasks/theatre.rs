@@ -37,18 +37,18 @@ pub fn draw(scene: &mut Scene) {
     let turn = frames::pose([0.0; 3], [0.0, 0.0, -std::f64::consts::FRAC_PI_2]);
     let world_from_rcm = frames::pose([x, y, z], [0.0, PITCH, 0.0]) * turn;
     draw_ecm(scene, &world_from_rcm, &JOINTS);
+    scene.look_through(&(world_from_rcm * Ecm::CLASSIC.base_from_camera(&JOINTS)), true);
     scene.stage = Aabb::new([0.34, -0.22, 0.67], [0.72, 0.22, 0.80]);
     scene.overview = Viewpoint::towards([1.10, 0.62, 1.12], [0.52, 0.005, 0.785], 0.50);
 }
 
-/// Draws an ECM as `ecm`, whose camera is the endoscope. `joints`: rad; index 2 in m.
+/// Draws an ECM as `ecm`. `joints`: rad; index 2 in m.
 pub fn draw_ecm(scene: &mut Scene, world_from_rcm: &Pose, joints: &[f64; 4]) {
     let joint = |name: &str| {
         let index = ["yaw", "pitch", "insertion", "roll"].iter().position(|other| *other == name);
         index.map_or(0.0, |index| joints[index])
     };
     Skeleton::ecm().draw(scene, "ecm", world_from_rcm, joint, |_| None);
-    scene.look_through(&(world_from_rcm * Ecm::CLASSIC.base_from_camera(joints)));
 }
 
 /// Draws a floor at z = 0 with dark joints between square tiles, so that pictures of it have a direction.

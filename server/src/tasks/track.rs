@@ -23,6 +23,12 @@
 //! nothing off. Where it is not in view, the image point is the projection of its centre, taken at
 //! least 10 mm ahead of the lens, within ±2.
 //!
+//! With `"perceived"` in the option `observation`, numbers 6 to 8 come from the endoscope's picture instead:
+//! whether the target's colour is seen there, and the middle of the pixels that have it; 0, 0 where it is not
+//! seen. How it is found is told in [`perception`](super::perception). The expert then knows no more than
+//! this. Goals, rewards and the end of episodes stay those of the geometry. A step draws a picture then, which takes
+//! milliseconds instead of microseconds.
+//!
 //! Under `preset = "surrol"` number 9 is the roll rate of the original's law, 25 · θ*, rad/s.
 
 use nalgebra::{Vector2, Vector3};
@@ -32,6 +38,7 @@ use trocar_proto::{Options, Rejection};
 use super::camera::{Cube, IMAGE_BOUND, Sighting, TAN_HALF_VIEW, View};
 use super::ecm_scene::{Control, EcmArm, STEP_TURN, misorientation_element};
 use super::options::{self, Preset};
+use super::perception;
 use crate::assets::Model;
 use crate::render::Scene;
 use crate::sim::random::Rng;
@@ -127,9 +134,14 @@ pub struct Tracker {
     target: Cube,
     distractors: Vec<Cube>,
     sighting: Sighting,
+    /// What is observed of the target instead, where that comes from the endoscope's picture.
+    perceived: Option<Perceived>,
     /// The true one, rad.
     misorientation: f64,
 }
+
+/// The image point of the target in the endoscope's picture; none where it is not seen there.
+type Perceived = Option<Vector2<f64>>;
 
 impl Tracker {
     /// The rows of `setup` that move the arm.
@@ -148,6 +160,7 @@ impl Tracker {
             target,
             distractors: Vec::new(),
             sighting: Sighting { in_view: false, in_picture: false, point: Vector2::zeros() },
+            perceived: options::perceives(options).then_some(None),
             misorientation: 0.0,
         };
         let view = View::new(tracker.arm.nominal_start());
@@ -244,9 +257,10 @@ impl Tracker {
     /// Writes the observation; see the module's description.
     pub fn observe(&self, observation: &mut [f32]) {
         self.arm.observe(observation);
-        observation[6] = f32::from(u8::from(self.sighting.in_view));
-        observation[7] = self.sighting.point.x as f32;
-        observation[8] = self.sighting.point.y as f32;
+        let (in_view, point) = self.observed();
+        observation[6] = f32::from(u8::from(in_view));
+        observation[7] = point.x as f32;
+        observation[8] = point.y as f32;
         observation[9] = self.roll_number(self.arm.sensed_misorientation()) as f32;
     }
 
@@ -261,14 +275,28 @@ impl Tracker {
     /// Writes the action of the visual servo: a turn of the camera by the angles under which the
     /// target is seen beside the middle, as fast as it can be.
     pub fn expert(&self, action: &mut [f32]) {
-        let angles = self.sighting.point.map(|number| libm::atan(number * TAN_HALF_VIEW));
+        let (_, point) = self.observed();
+        let angles = point.map(|number| libm::atan(number * TAN_HALF_VIEW));
         let across = (angles / STEP_TURN).map(|number| number.clamp(-1.0, 1.0));
         self.arm.encode_velocity(&Vector3::new(across.x, across.y, 0.0), action);
+    }
+
+    /// Whether the target is in view, and its image point, as observed.
+    fn observed(&self) -> (bool, Vector2<f64>) {
+        match self.perceived {
+            Some(seen) => (seen.is_some(), seen.unwrap_or_default()),
+            None => (self.sighting.in_view, self.sighting.point),
+        }
     }
 
     fn look(&mut self) {
         self.sighting = self.view().sight(&self.target, &self.distractors);
         self.misorientation = self.arm.misorientation();
+        if self.perceived.is_some() {
+            let mut scene = Scene::default();
+            self.draw(&mut scene);
+            self.perceived = Some(perception::target(&scene));
+        }
     }
 }
 
