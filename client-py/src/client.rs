@@ -81,7 +81,8 @@ impl Client {
     }
 
     /// Opens a session: one task, N environments, one seed, its options.
-    #[pyo3(signature = (task, *, envs, seed, autoreset, options=None))]
+    #[pyo3(signature = (task, *, envs, seed, autoreset, options=None, view=None))]
+    #[expect(clippy::too_many_arguments, reason = "they are keywords")]
     fn open(
         &self,
         py: Python<'_>,
@@ -90,6 +91,7 @@ impl Client {
         seed: u64,
         autoreset: &str,
         options: Option<&Bound<'_, PyDict>>,
+        view: Option<&Bound<'_, PyDict>>,
     ) -> PyResult<Session> {
         let refused = |code, field: &str, value: &dyn std::fmt::Display, allowed: &str| {
             error::rejection(py, &Rejection::new(code, field, value, allowed))
@@ -108,7 +110,8 @@ impl Client {
             }
         };
         let options = spec::options(py, options)?;
-        let request = SessionRequest { task, envs, seed, autoreset, options };
+        let view = view.map(|view| spec::options(py, Some(view))).transpose()?;
+        let request = SessionRequest { task, envs, seed, autoreset, options, view };
         let session = self.call(py, move |client| client.open(&request))?;
         Session::new(py, session)
     }

@@ -155,6 +155,29 @@ impl Session {
         .map(Reply::new)
     }
 
+    /// Draws an environment: uint8 (H, W, 3), or with `depth` float32 (H, W) in m.
+    fn render<'py>(
+        &self,
+        py: Python<'py>,
+        env_id: u32,
+        depth: bool,
+    ) -> PyResult<Bound<'py, PyAny>> {
+        let reply = self.exchange(py, |session| {
+            session.start_render(env_id, depth).map_err(|error| error::call(py, error))
+        })?;
+        let view = self.with(py, |session| Ok(session.info().view.clone()))?;
+        let Some(view) = view else {
+            return Err(error::new(py, "Malformed", "the session has no view"));
+        };
+        let (height, width) = (view.views.len() * view.height, view.width);
+        if depth {
+            let array = PyArray1::from_slice(py, reply.picture_depth()).reshape([height, width])?;
+            return Ok(array.into_any());
+        }
+        let array = PyArray1::from_slice(py, reply.picture_rgb()).reshape([height, width, 3])?;
+        Ok(array.into_any())
+    }
+
     /// A snapshot of this session as bytes.
     fn export_snapshot<'py>(
         &self,

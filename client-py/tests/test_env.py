@@ -269,9 +269,8 @@ def test_sessions_end_when_environments_do(own_server: trocar.Server) -> None:
     assert len(own_server.status()["sessions"]) == 1
 
 
-def test_rendering_is_refused_rather_than_faked(server: str) -> None:
-    env = make("NeedleReach-v0", server)
-    env.render()
-    env.close()
+def test_unknown_ways_of_rendering_are_refused(server: str) -> None:
+    with pytest.raises(ValueError, match="rgb_array"):
+        trocar.TrocarEnv("NeedleReach-v0", server=server, render_mode="ansi")
     with pytest.raises(ValueError, match="render_mode"):
-        trocar.TrocarEnv("NeedleReach-v0", server=server, render_mode="rgb_array")
+        trocar.TrocarEnv("NeedleReach-v0", server=server, render_options={"camera": "overview"})

@@ -5,7 +5,9 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use trocar_proto::control::{ControlReply, ControlRequest, SessionInfo, SessionRequest};
-use trocar_proto::wire::{Header, MAX_IN_FLIGHT, ReplyLayout, RequestLayout, flag, kind};
+use trocar_proto::wire::{
+    Header, MAX_IN_FLIGHT, PictureLayout, ReplyLayout, RequestLayout, flag, kind,
+};
 use trocar_proto::{Code, Rejection, TaskSpec, snapshot};
 
 use crate::client::{Client, unexpected};
@@ -24,6 +26,7 @@ pub struct Session {
     info: Arc<SessionInfo>,
     request_layout: RequestLayout,
     reply_layout: Arc<ReplyLayout>,
+    picture_layout: Option<Arc<PictureLayout>>,
     pub(crate) want_expert: bool,
     /// What it was opened with, and where.
     pub(crate) request: SessionRequest,
@@ -103,6 +106,7 @@ impl Session {
         let envs = info.envs as usize;
         let request_layout = RequestLayout::new(envs, &info.spec);
         let reply_layout = Arc::new(ReplyLayout::new(envs, &info.spec));
+        let picture_layout = info.view.as_ref().map(|view| Arc::new(PictureLayout::new(view)));
         let link = Arc::clone(client.link());
         let port = Owned::new(DataPort::open(link, &info, request_layout.bytes)?);
         let info = Arc::new(info);
@@ -113,6 +117,7 @@ impl Session {
             info,
             request_layout,
             reply_layout,
+            picture_layout,
             want_expert: false,
             request,
             client,
@@ -339,6 +344,20 @@ impl Session {
         })
     }
 
+    /// Draws environment `env_id` as the view shows it with which the session was opened
+    /// ([`SessionRequest::view`]): colours, [`Reply::picture_rgb`], or `depth`, [`Reply::picture_depth`].
+    pub fn render(&mut self, env_id: u32, depth: bool) -> Result<Reply, CallError> {
+        self.start_render(env_id, depth)?;
+        self.recv()
+    }
+
+    /// Starts a picture of environment `env_id`.
+    pub fn start_render(&mut self, env_id: u32, depth: bool) -> Result<(), CallError> {
+        let env_ids = self.check_env_ids(Some(&[env_id]))?;
+        let flags = if depth { flag::DEPTH } else { 0 };
+        self.start(kind::RENDER, flags, env_ids.clone(), env_ids, |_, _| {})
+    }
+
     fn recv_snapshot(&mut self) -> Result<Snapshot, CallError> {
         let missing = || CallError::Malformed("the reply is to another request".into());
         self.recv()?.into_snapshot().ok_or_else(missing)
@@ -382,7 +401,11 @@ impl Session {
         if raw.user_header().status != 0 {
             return Err(refusal(&raw));
         }
-        if raw.payload().len() < self.reply_layout.bytes {
+        let expected = match (kind, &self.picture_layout) {
+            (kind::RENDER, Some(layout)) => layout.bytes,
+            _ => self.reply_layout.bytes,
+        };
+        if raw.payload().len() < expected {
             return Err(CallError::Malformed("the payload is too short".into()));
         }
         let taken = (kind == kind::SNAPSHOT).then(|| {
@@ -395,6 +418,7 @@ impl Session {
             env_ids,
             info: Arc::clone(&self.info),
             layout: Arc::clone(&self.reply_layout),
+            picture: self.picture_layout.clone().filter(|_| kind == kind::RENDER),
             _link: Arc::clone(port.link()),
         }))
     }
@@ -544,6 +568,8 @@ pub struct Reply {
     env_ids: EnvIds,
     info: Arc<SessionInfo>,
     layout: Arc<ReplyLayout>,
+    /// Of a picture that was asked for; there is nothing else then.
+    picture: Option<Arc<PictureLayout>>,
     /// Dropped last: as long as shared memory is used, nobody may remove it.
     _link: Arc<Owned<Link>>,
 }
@@ -554,9 +580,19 @@ impl Reply {
         self.taken
     }
 
-    /// Number of rows.
+    /// Number of rows; none in the reply to [`Session::render`].
     pub fn rows(&self) -> usize {
-        self.env_ids.len()
+        if self.picture.is_some() { 0 } else { self.env_ids.len() }
+    }
+
+    /// Red, green, blue of the picture that was asked for: u8 (views, height, width, 3).
+    pub fn picture_rgb(&self) -> &[u8] {
+        self.picture.as_ref().map_or(&[], |layout| layout.rgb.view(self.raw.payload(), 1))
+    }
+
+    /// Depth of the picture that was asked for, along the optical axis, m: f32 (views, height, width).
+    pub fn picture_depth(&self) -> &[f32] {
+        self.picture.as_ref().map_or(&[], |layout| layout.depth.view(self.raw.payload(), 1))
     }
 
     /// The environment of row `row`.

@@ -4,7 +4,7 @@ use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
 use crate::error::{Code, Rejection};
-use crate::spec::{Options, TaskSpec};
+use crate::spec::{ImageSpec, Options, TaskSpec};
 
 /// Largest control message, bytes.
 pub const MAX_MESSAGE: usize = 64 * 1024;
@@ -188,6 +188,9 @@ pub struct SessionRequest {
     pub autoreset: Autoreset,
     /// Options of the task.
     pub options: Options,
+    /// How [`crate::wire::kind::RENDER`] draws: `image_size`, `camera` and what belongs to it, as the
+    /// options of pictures that are observed; `None` if nothing will be drawn.
+    pub view: Option<Options>,
 }
 
 impl SessionRequest {
@@ -199,6 +202,7 @@ impl SessionRequest {
             seed: 0,
             autoreset: Autoreset::default(),
             options: Options::new(),
+            view: None,
         }
     }
 
@@ -220,6 +224,12 @@ impl SessionRequest {
         Self { autoreset, ..self }
     }
 
+    /// The same with pictures on demand.
+    #[must_use]
+    pub fn view(self, view: Options) -> Self {
+        Self { view: Some(view), ..self }
+    }
+
     /// The same with other options.
     #[must_use]
     pub fn options(self, options: Options) -> Self {
@@ -238,6 +248,8 @@ pub struct SessionInfo {
     pub envs: u32,
     /// The task under the session's options.
     pub spec: TaskSpec,
+    /// What pictures on demand are like, where they were asked for.
+    pub view: Option<Box<ImageSpec>>,
 }
 
 /// The server as `trocar status` shows it.

@@ -6,7 +6,7 @@
 
 use iceoryx2::prelude::ZeroCopySend;
 
-use crate::spec::{ImageKind, TaskSpec};
+use crate::spec::{ImageKind, ImageSpec, TaskSpec};
 
 /// First word of every message: "TRCR".
 pub const MAGIC: u32 = u32::from_le_bytes(*b"TRCR");
@@ -35,6 +35,8 @@ pub mod kind {
     /// Let each of the listed environments go on from the state that the environment of that row's
     /// number has before the request. The reply is as for [`RESTORE`].
     pub const FORK: u32 = 5;
+    /// Draw one environment as the session's view shows it; the reply is a [`super::PictureLayout`].
+    pub const RENDER: u32 = 6;
 }
 
 /// Bits of [`Header::flags`].
@@ -45,6 +47,8 @@ pub mod flag {
     /// Reset request: the numbers are seeds; otherwise each environment goes on to the next
     /// episode of its seed.
     pub const HAS_SEEDS: u32 = 2;
+    /// Render request: depth is wanted, and not colours.
+    pub const DEPTH: u32 = 4;
 }
 
 /// The fixed part of every message, control and data, both directions.
@@ -271,11 +275,33 @@ impl ReplyLayout {
     }
 }
 
+/// A picture that was asked for, of one environment: colours or depth, both at the beginning of the payload.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct PictureLayout {
+    /// u8 (1, views · height · width · 3): red, green, blue.
+    pub rgb: Region,
+    /// f32 (1, views · height · width), m.
+    pub depth: Region,
+    /// Size of the payload.
+    pub bytes: usize,
+}
+
+impl PictureLayout {
+    /// The layout of pictures of this kind.
+    pub fn new(spec: &ImageSpec) -> Self {
+        let pixels = spec.views.len() * spec.height * spec.width;
+        let mut plan = Planner { rows: 1, end: 0 };
+        let depth = plan.region::<f32>(pixels);
+        let rgb = Region { width: 3 * pixels, element: size_of::<u8>(), ..depth };
+        Self { rgb, depth, bytes: plan.bytes().max(MIN_REPLY) }
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::goal::{Reward, SuccessRule};
-    use crate::spec::{Element, GoalSpec, ImageSpec};
+    use crate::spec::{Element, GoalSpec};
 
     fn spec(action: usize, observation: usize, goal: usize) -> TaskSpec {
         let elements = |count| vec![Element::new("x", "world", "m", -1.0, 1.0); count];

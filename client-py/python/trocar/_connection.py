@@ -106,6 +106,7 @@ class Connection:
         autoreset: ``NextStep``, ``SameStep`` or ``Disabled``.
         expert: Whether replies carry the scripted expert's actions.
         options: The task's options.
+        view: How environments are drawn when that is asked for; ``None`` if they are not.
         reconnect: For how many seconds a lost server is waited for; ``True`` for 60.
         shown: What the environments make of the reply that shows where they go on after that:
             observation and info.
@@ -120,6 +121,7 @@ class Connection:
         autoreset: str,
         expert: bool,
         options: Mapping[str, Any],
+        view: Mapping[str, Any] | None,
         reconnect: bool | float,
         shown: Callable[[_trocar.Reply], tuple[Any, dict[str, Any]]],
     ) -> None:
@@ -138,6 +140,7 @@ class Connection:
             "envs": envs,
             "autoreset": autoreset,
             "options": options,
+            "view": view,
         }
         self._closed = False
         self._client: _trocar.Client | None = None
@@ -180,6 +183,10 @@ class Connection:
         """Lets environments go on from a snapshot; all of them also in a session opened anew."""
         self._ready(everything=env_ids is None)
         return self._try(lambda session: session.restore(snapshot.states_in(session), env_ids))
+
+    def render(self, env_id: int, mode: str) -> NDArray[Any]:
+        """Draws an environment: ``rgb_array`` or ``depth_array``."""
+        return self._try(lambda session: session.render(env_id, mode == "depth_array"))
 
     def fork(
         self, sources: NDArray[np.uint32], env_ids: NDArray[np.uint32] | None = None

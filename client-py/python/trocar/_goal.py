@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import operator
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, cast
 
 import numpy as np
@@ -148,10 +148,23 @@ def check_seed(seed: Any, field: str = "seed") -> int:
     return number
 
 
-def check_render_mode(mode: str | None) -> None:
-    """An error unless nothing shall be rendered."""
-    if mode is not None:
-        raise refuse(UnknownRenderMode, "render_mode", mode, "allowed is None")
+RENDER_MODES = ("rgb_array", "depth_array")
+"""What ``render_mode`` may be, besides ``None``."""
+
+
+def view(mode: str | None, options: Mapping[str, Any] | None) -> dict[str, Any] | None:
+    """How a session is to draw its environments; ``None`` where nothing will be rendered."""
+    if mode is not None and mode not in RENDER_MODES:
+        allowed = f"allowed are None, {', '.join(map(repr, RENDER_MODES))}"
+        raise refuse(UnknownRenderMode, "render_mode", mode, allowed)
+    if options and mode is None:
+        raise refuse(InvalidOption, "render_options", dict(options), "they need a render_mode")
+    return None if mode is None else dict(options or {})
+
+
+def render_fps(spec: _trocar.TaskSpec) -> int:
+    """Pictures a second at which a recording runs as fast as the simulated time."""
+    return max(1, round(1.0 / spec.seconds_per_step))
 
 
 class UnknownRenderMode(InvalidOption, TypeError):

@@ -76,6 +76,7 @@ class Client:
         seed: int,
         autoreset: str,
         options: Mapping[str, Any] | None = None,
+        view: Mapping[str, Any] | None = None,
     ) -> Session:
         """Opens a session: one task, N environments, one seed, its options."""
     def status(self) -> dict[str, Any]:
@@ -122,6 +123,8 @@ class Session:
         """Lets environments go on from a snapshot of this session, and waits."""
     def fork(self, sources: NDArray[np.uint32], env_ids: NDArray[np.uint32] | None = None) -> Reply:
         """Lets environments go on from the present states of others, and waits."""
+    def render(self, env_id: int, depth: bool) -> NDArray[Any]:
+        """Draws an environment: uint8 (H, W, 3), or with ``depth`` float32 (H, W) in m."""
     def export_snapshot(self, snapshot: Snapshot) -> bytes:
         """A snapshot of this session as bytes."""
     def import_snapshot(self, data: bytes) -> Snapshot:

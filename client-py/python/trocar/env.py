@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from copy import deepcopy
 from typing import Any, ClassVar
 
@@ -12,14 +13,16 @@ from numpy.typing import ArrayLike, NDArray
 from trocar import _trocar
 from trocar._connection import Connection
 from trocar._goal import (
+    RENDER_MODES,
     GoalFunctions,
     Observation,
     action_space,
-    check_render_mode,
     check_seed,
     observation,
     observation_space,
+    render_fps,
     shown,
+    view,
 )
 from trocar.errors import InvalidOption, ResetNeeded, refuse
 from trocar.snapshot import Snapshot
@@ -50,7 +53,10 @@ class TrocarEnv(GoalFunctions, gym.Env[Observation, NDArray[np.float32]]):
     :class:`~trocar.errors.ServerLost`.
     """
 
-    metadata: ClassVar[dict[str, Any]] = {"render_modes": []}  # type: ignore[misc]
+    metadata: ClassVar[dict[str, Any]] = {  # type: ignore[misc]
+        "render_modes": list(RENDER_MODES),
+        "render_fps": 5,
+    }
 
     def __init__(
         self,
@@ -58,6 +64,7 @@ class TrocarEnv(GoalFunctions, gym.Env[Observation, NDArray[np.float32]]):
         *,
         server: str | None = None,
         render_mode: str | None = None,
+        render_options: Mapping[str, Any] | None = None,
         expert: bool = False,
         copy: bool = True,
         reconnect: bool | float = False,
@@ -68,7 +75,10 @@ class TrocarEnv(GoalFunctions, gym.Env[Observation, NDArray[np.float32]]):
         Args:
             task: Task id without namespace, e.g. ``NeedleReach-v0``.
             server: Name of the server; ``None`` for ``$TROCAR_SERVER``, else a private one.
-            render_mode: ``None``.
+            render_mode: What :meth:`render` gives: ``rgb_array``, ``depth_array`` or ``None``.
+            render_options: How :meth:`render` draws: ``image_size`` (H, W; 480 × 640), ``camera``
+                (``overview``, ``endoscope``, ``stereo`` with one picture above the other,
+                ``placed``), and ``camera_eye``, ``camera_target``, ``camera_view`` of a placed one.
             expert: Whether ``info["expert_action"]`` shall hold the scripted expert's action, and
                 ``info["expert_stage"]`` what it is about, by number in ``trocar.STAGES``.
             copy: With ``False``, observations are read-only views of shared memory, valid until
@@ -81,7 +91,7 @@ class TrocarEnv(GoalFunctions, gym.Env[Observation, NDArray[np.float32]]):
         Raises:
             ValueError: An option is unknown or not allowed; the message lists what is.
         """
-        check_render_mode(render_mode)
+        wanted = view(render_mode, render_options)
         self.render_mode = render_mode
         self._copy = copy
         self._expert_action: NDArray[np.float32] | None = None
@@ -92,9 +102,11 @@ class TrocarEnv(GoalFunctions, gym.Env[Observation, NDArray[np.float32]]):
             autoreset="Disabled",
             expert=expert,
             options=options,
+            view=wanted,
             reconnect=reconnect,
             shown=self._begun,
         )
+        self.metadata = {**type(self).metadata, "render_fps": render_fps(self.task_spec)}
         self.action_space = action_space(self.task_spec)
         self.observation_space = observation_space(self.task_spec)
 
@@ -168,8 +180,16 @@ class TrocarEnv(GoalFunctions, gym.Env[Observation, NDArray[np.float32]]):
             raise ResetNeeded("the expert needs a state; reset the environment first")
         return np.array(self._expert_action)
 
-    def render(self) -> None:
-        """Renders nothing, which is the only render mode."""
+    def render(self) -> NDArray[Any] | None:  # type: ignore[override]
+        """A picture of the present state.
+
+        Returns:
+            With ``rgb_array`` uint8 (H, W, 3); with ``depth_array`` float32 (H, W), the depth along
+            the optical axis in m; without a render mode ``None``.
+        """
+        if self.render_mode is None:
+            return None
+        return self._connection.render(0, self.render_mode)
 
     def close(self) -> None:
         """Ends the session; twice does no harm."""

@@ -164,8 +164,7 @@ class TrocarVecEnv(VecEnv):
 
     def get_images(self) -> Sequence[NDArray[np.uint8] | None]:
         """A picture of each environment, where they were made with a render mode."""
-        # The render modes that there are say what it returns; without one, that is nothing.
-        images: Any = self.envs.render()  # type: ignore[func-returns-value]
+        images = self.envs.render()
         return [None] * self.num_envs if images is None else list(images)
 
     def close(self) -> None:

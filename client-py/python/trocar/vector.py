@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import gymnasium as gym
@@ -14,15 +14,17 @@ from numpy.typing import ArrayLike, NDArray
 from trocar import _trocar
 from trocar._connection import Connection
 from trocar._goal import (
+    RENDER_MODES,
     GoalFunctions,
     Observation,
     action_space,
-    check_render_mode,
     check_seed,
     final_observation,
     observation,
     observation_space,
+    render_fps,
     shown,
+    view,
 )
 from trocar.errors import InvalidEnvIds, InvalidOption, InvalidRequest, ResetNeeded, refuse
 from trocar.snapshot import Snapshot
@@ -59,6 +61,7 @@ class TrocarVectorEnv(
         server: str | None = None,
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
         render_mode: str | None = None,
+        render_options: Mapping[str, Any] | None = None,
         max_episode_steps: int | None = None,
         expert: bool = False,
         copy: bool = True,
@@ -74,7 +77,10 @@ class TrocarVectorEnv(
             autoreset_mode: What happens to an environment whose episode ended: ``next_step``
                 (the next step resets it and ignores its action), ``same_step`` (the same step
                 resets it) or ``disabled`` (``reset`` with a ``reset_mask`` must).
-            render_mode: ``None``.
+            render_mode: What :meth:`render` gives: ``rgb_array``, ``depth_array`` or ``None``.
+            render_options: How :meth:`render` draws: ``image_size`` (H, W; 480 × 640), ``camera``
+                (``overview``, ``endoscope``, ``stereo`` with one picture above the other,
+                ``placed``), and ``camera_eye``, ``camera_target``, ``camera_view`` of a placed one.
             max_episode_steps: The task's own number or ``None``.
             expert: Whether ``infos["expert_action"]`` shall hold the scripted expert's actions, and
                 ``infos["expert_stage"]`` what it is about, by number in ``trocar.STAGES``.
@@ -89,7 +95,7 @@ class TrocarVectorEnv(
             ValueError: An option is unknown or not allowed; the message lists what is.
         """
         self.closed = True  # until there is something to close
-        check_render_mode(render_mode)
+        wanted = view(render_mode, render_options)
         self.autoreset_mode = _autoreset_mode(autoreset_mode)
         self._connection = Connection(
             task,
@@ -98,6 +104,7 @@ class TrocarVectorEnv(
             autoreset=self.autoreset_mode.value,
             expert=expert,
             options=options,
+            view=wanted,
             reconnect=reconnect,
             shown=self._begun,
         )
@@ -111,7 +118,11 @@ class TrocarVectorEnv(
         self._latest = _Latest()
         self.num_envs = num_envs
         self.render_mode = render_mode
-        self.metadata = {"render_modes": [], "autoreset_mode": self.autoreset_mode}
+        self.metadata = {
+            "render_modes": list(RENDER_MODES),
+            "render_fps": render_fps(spec),
+            "autoreset_mode": self.autoreset_mode,
+        }
         self.single_action_space = action_space(spec)
         self.single_observation_space = observation_space(spec)
         self.action_space = batch_space(self.single_action_space, num_envs)
@@ -262,14 +273,20 @@ class TrocarVectorEnv(
         self._latest.check()
         return self._latest.arrays(copy=True)["expert_action"]
 
-    def render(self) -> None:
-        """Renders nothing, which is the only render mode."""
+    def render(self) -> tuple[NDArray[Any], ...] | None:  # type: ignore[override]
+        """A picture of the present state of each environment, as :meth:`TrocarEnv.render` gives."""
+        mode = self.render_mode
+        if mode is None:
+            return None
+        return tuple(self._connection.render(env, mode) for env in range(self.num_envs))
 
     def call(self, name: str, *args: Any, **kwargs: Any) -> tuple[Any, ...]:
         """What the attribute ``name``, or a call of it, gives for each environment.
 
         The environments of a session differ in nothing but their state, so it is asked for once.
         """
+        if name == "render":
+            return self.render() or (None,) * self.num_envs
         attribute = getattr(self, name)
         result = attribute(*args, **kwargs) if callable(attribute) else attribute
         return (result,) * self.num_envs

@@ -85,6 +85,11 @@ impl Imaging {
         Ok(Some(Self { spec, eyes, renderer: Software::default() }))
     }
 
+    /// The same without jagged edges, for people: that takes four times as long.
+    pub(crate) fn fine(self) -> Self {
+        Self { renderer: Software::fine(), ..self }
+    }
+
     /// What the pictures are like.
     pub(crate) fn spec(&self) -> &ImageSpec {
         &self.spec

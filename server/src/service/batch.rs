@@ -9,7 +9,7 @@ use trocar_proto::{Code, Rejection, TaskSpec};
 use super::rows::Rows;
 use super::scheduler::{Divisible, Scheduler};
 use super::witness::Witness;
-use crate::env::{Env, Rebuild};
+use crate::env::{Env, Imaging, Rebuild};
 use crate::error::StepError;
 use crate::tasks::Registry;
 
@@ -91,6 +91,27 @@ impl Batch {
             Arc::clone(&copies[at])
         };
         Ok(numbers.iter().map(source).collect())
+    }
+
+    /// Draws one environment as `view` shows it: its colours, or its depth where there is room for that.
+    pub(crate) fn draw(
+        &self,
+        env_ids: &[u32],
+        view: &Imaging,
+        rgb: &mut [u8],
+        depth: &mut [f32],
+        scheduler: &Scheduler,
+    ) -> Result<(), Rejection> {
+        self.check_env_ids(env_ids)?;
+        let [id] = env_ids else {
+            let allowed = "one environment is drawn at a time";
+            return Err(Rejection::new(Code::InvalidEnvIds, "env_ids", env_ids.len(), allowed));
+        };
+        let env = &self.envs[*id as usize];
+        env.check_begun()?;
+        let mut cost = PICTURE;
+        scheduler.run(Drawing { env: Some(env), view, rgb, depth }, &mut cost);
+        Ok(())
     }
 
     /// An environment like those of the session.
@@ -257,6 +278,34 @@ impl Divisible for Work<'_> {
 
 /// About the time that a copy takes.
 const COPY: Duration = Duration::from_micros(50);
+
+/// About the time that a picture takes.
+const PICTURE: Duration = Duration::from_millis(50);
+
+/// An environment that is drawn, if any.
+struct Drawing<'a> {
+    env: Option<&'a Env>,
+    view: &'a Imaging,
+    rgb: &'a mut [u8],
+    depth: &'a mut [f32],
+}
+
+impl Divisible for Drawing<'_> {
+    fn len(&self) -> usize {
+        usize::from(self.env.is_some())
+    }
+
+    fn split_at(self, at: usize) -> (Self, Self) {
+        let nothing = Self { env: None, view: self.view, rgb: &mut [], depth: &mut [] };
+        if at == 0 { (nothing, self) } else { (self, nothing) }
+    }
+
+    fn run(self) {
+        if let Some(env) = self.env {
+            self.view.draw(&env.scene(), self.rgb, self.depth, &mut [], &mut []);
+        }
+    }
+}
 
 /// Environments that are copied.
 struct Copying<'a> {

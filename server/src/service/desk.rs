@@ -9,7 +9,7 @@ use trocar_proto::control::{
 };
 use trocar_proto::endpoint::{Endpoint, MAX_CLIENTS};
 use trocar_proto::wire::{
-    Header, MAGIC, MAX_HELD_REPLIES, MAX_IN_FLIGHT, ReplyLayout, RequestLayout,
+    Header, MAGIC, MAX_HELD_REPLIES, MAX_IN_FLIGHT, PictureLayout, ReplyLayout, RequestLayout,
 };
 use trocar_proto::{Code, PROTOCOL_VERSION, Rejection, TaskSpec};
 
@@ -314,8 +314,11 @@ impl Desk {
                 format!("allowed are {MAX_SESSIONS} at a time"),
             ));
         }
+        let view = request.view.as_ref();
+        let view = view.map(|view| self.registry.view(&request.task, &request.options, view));
+        let view = view.transpose()?.map(|imaging| PictureLayout::new(imaging.spec()));
         let footprint = Footprint {
-            shared: shared_bytes(request.envs as usize, &spec),
+            shared: shared_bytes(request.envs as usize, &spec, view.as_ref()),
             private: u64::from(request.envs) * Env::MEMORY_BYTES,
         };
         let held = usage.clients.get(&pid).copied().unwrap_or_default();
@@ -373,10 +376,15 @@ const SERVICE_BYTES: u64 = 256 << 10;
 
 /// Shared memory that a session may take, bytes. The transport keeps twice as many buffers as
 /// requests may be in flight, each with room for what is sent, held and being written.
-pub(super) fn shared_bytes(envs: usize, spec: &TaskSpec) -> u64 {
+pub(super) fn shared_bytes(envs: usize, spec: &TaskSpec, view: Option<&PictureLayout>) -> u64 {
     let replies = 2 * MAX_IN_FLIGHT * (1 + MAX_HELD_REPLIES + 1);
     let requests = 2 * MAX_IN_FLIGHT + 2;
-    let bytes = replies * ReplyLayout::new(envs, spec).bytes
+    let reply = ReplyLayout::new(envs, spec).bytes;
+    // Buffers are used again, the last one first: no more of them hold pictures than are held at a time.
+    let pictures = MAX_IN_FLIGHT + MAX_HELD_REPLIES + 1;
+    let more = view.map_or(0, |view| view.bytes.saturating_sub(reply));
+    let bytes = replies * reply
+        + pictures * more
         + requests * RequestLayout::new(envs, spec).bytes;
     bytes as u64 + SERVICE_BYTES
 }

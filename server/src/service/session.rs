@@ -13,7 +13,9 @@ use trocar_proto::control::{
 };
 use trocar_proto::endpoint::{Node, Vigil};
 use trocar_proto::snapshot::MAX_PART;
-use trocar_proto::wire::{Header, MAX_IN_FLIGHT, ReplyLayout, RequestLayout, flag, kind};
+use trocar_proto::wire::{
+    Header, MAX_IN_FLIGHT, PictureLayout, ReplyLayout, RequestLayout, flag, kind,
+};
 use trocar_proto::{Code, Rejection};
 
 use super::batch::{self, Batch, Deed};
@@ -25,7 +27,7 @@ use super::rows::Rows;
 use super::scheduler::Scheduler;
 use super::store::{Ledger, Saved, Store};
 use super::witness::{Failures, Tape, Witness};
-use crate::env::{Env, Rebuild};
+use crate::env::{Env, Imaging, Rebuild};
 use crate::tasks::Registry;
 
 /// How long an idle session sleeps before it looks whether it should end.
@@ -263,6 +265,8 @@ struct Session {
     next_step: bool,
     request_layout: RequestLayout,
     reply_layout: ReplyLayout,
+    /// How its environments are drawn when that is asked for.
+    view: Option<(Imaging, PictureLayout)>,
     ports: DataPorts,
     inbox: Inbox,
 }
@@ -289,7 +293,20 @@ impl Session {
         let request_layout = RequestLayout::new(envs, spec);
         let reply_layout = ReplyLayout::new(envs, spec);
         let (epoch, id) = (ground.epoch, shared.id);
-        let info = SessionInfo { session: id, epoch, envs: wanted.envs, spec: (**spec).clone() };
+        let view = wanted.view.as_ref();
+        let view = view.map(|view| ground.registry.view(&wanted.task, &wanted.options, view));
+        let view = view.transpose()?.map(|imaging| {
+            let layout = PictureLayout::new(imaging.spec());
+            (imaging, layout)
+        });
+        let info = SessionInfo {
+            session: id,
+            epoch,
+            envs: wanted.envs,
+            spec: (**spec).clone(),
+            view: view.as_ref().map(|(imaging, _)| Box::new(imaging.spec().clone())),
+        };
+        let most = view.as_ref().map_or(0, |(_, layout)| layout.bytes).max(reply_layout.bytes);
         let store = Store::new(account.ledger, batch.like().identity());
         *shared.store.lock().unwrap_or_else(PoisonError::into_inner) = Some(store);
         // Starts may have taken long, and nothing may be put where the server has cleared away.
@@ -297,7 +314,7 @@ impl Session {
             let why = "the session is being closed";
             return Err(Rejection::new(Code::UnknownSession, "session", id, why));
         }
-        let ports = DataPorts::open(&ground.node, epoch, id, reply_layout.bytes)?;
+        let ports = DataPorts::open(&ground.node, epoch, id, most)?;
         let session = Self {
             ports,
             inbox: Inbox {
@@ -313,6 +330,7 @@ impl Session {
             batch,
             request_layout,
             reply_layout,
+            view,
         };
         Ok((session, info))
     }
@@ -373,7 +391,11 @@ impl Session {
     fn answer(&mut self, request: &Request) -> u64 {
         let start = Instant::now();
         let asked = *request.user_header();
-        let mut response = match ports::loan(request, self.reply_layout.bytes) {
+        let room = match &self.view {
+            Some((_, layout)) if asked.kind == kind::RENDER => layout.bytes,
+            _ => self.reply_layout.bytes,
+        };
+        let mut response = match ports::loan(request, room) {
             Ok(response) => response,
             Err(error) => {
                 tracing::warn!(session = self.shared.id, ?error, "no room for a reply");
@@ -465,8 +487,21 @@ impl Session {
         let numbers = &numbers[..rows];
         env_ids[..rows].copy_from_slice(layout.env_ids.view(payload, rows));
         let env_ids = &env_ids[..rows];
-        let mut out = Rows::of(&self.reply_layout, reply, rows);
         let scheduler = &self.scheduler;
+        if asked.kind == kind::RENDER {
+            let Some((imaging, layout)) = &self.view else {
+                let why = "the session was opened without a view; open it with one";
+                return Err(Rejection::new(Code::Unsupported, "render", "no view", why));
+            };
+            return if asked.flags & flag::DEPTH == 0 {
+                let rgb = layout.rgb.view_mut(reply, 1);
+                self.batch.draw(env_ids, imaging, rgb, &mut [], scheduler)
+            } else {
+                let depth = layout.depth.view_mut(reply, 1);
+                self.batch.draw(env_ids, imaging, &mut [], depth, scheduler)
+            };
+        }
+        let mut out = Rows::of(&self.reply_layout, reply, rows);
         let states;
         let deed = match asked.kind {
             kind::STEP => {
@@ -495,8 +530,8 @@ impl Session {
                 Deed::Restore(&states)
             }
             other => {
-                let (first, last) = (kind::RESET, kind::FORK);
-                let allowed = format!("allowed are {first} (reset) to {last} (fork)");
+                let (first, last) = (kind::RESET, kind::RENDER);
+                let allowed = format!("allowed are {first} (reset) to {last} (render)");
                 return Err(malformed("header.kind", other.into(), allowed));
             }
         };

@@ -192,6 +192,20 @@ impl Registry {
         Ok(Env::new(spec, task, world, domain, resolved, imaging))
     }
 
+    /// How environments of the task `id` under `options` are drawn when that is asked for. `view` may have
+    /// what the options of observed pictures have; by default it is the overview, 640 × 480.
+    pub(crate) fn view(
+        &self,
+        id: &str,
+        options: &Options,
+        view: &Options,
+    ) -> Result<Imaging, Rejection> {
+        let (task, world, _) = self.build(id, options)?;
+        let resolved = view.resolve(&options::of_views())?;
+        let imaging = Imaging::of(&resolved, || first_scene(task.as_ref(), &world))?;
+        Ok(imaging.expect("views have colour and depth").fine())
+    }
+
     fn build(
         &self,
         id: &str,

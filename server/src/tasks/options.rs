@@ -172,6 +172,25 @@ pub(super) fn with_images(mut known: Vec<OptionSpec>) -> Vec<OptionSpec> {
     known
 }
 
+/// The options of pictures on demand: those of observed ones with defaults for people, of which both colour
+/// and depth can be had.
+pub(super) fn of_views() -> Vec<OptionSpec> {
+    let kinds = [ImageKind::Rgb, ImageKind::Depth].map(|kind| kind.name().to_string());
+    let mut known = with_images(vec![observation()]);
+    for option in &mut known {
+        match option.name.as_str() {
+            "observation" => {
+                option.default = OptionValue::Texts(kinds.to_vec());
+                option.allowed = Allowed::SomeOf(kinds.to_vec());
+            }
+            "image_size" => option.default = OptionValue::Numbers(vec![480.0, 640.0]),
+            "camera" => option.default = OptionValue::Text("overview".into()),
+            _ => {}
+        }
+    }
+    known
+}
+
 /// Whose numbers a task uses where paper and original code differ.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Preset {

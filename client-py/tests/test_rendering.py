@@ -1,0 +1,149 @@
+"""Pictures on demand: ``render_mode`` of single and vector environments."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from gymnasium.wrappers import RecordEpisodeStatistics, RenderCollection
+
+import trocar
+from trocar.errors import ResetNeeded
+
+SMALL = {"image_size": (24, 32)}
+
+
+def test_pictures_show_the_present_state(server: str) -> None:
+    env = gym.make("trocar/NeedleReach-v0", server=server, render_mode="rgb_array")
+    assert env.metadata["render_fps"] == 5
+    env.reset(seed=2)
+    first = env.render()
+    assert isinstance(first, np.ndarray)
+    assert (first.dtype, first.shape) == (np.uint8, (480, 640, 3))
+    assert first.std() > 5.0
+    assert (env.render() == first).all()
+    env.step(np.ones(5, np.float32))
+    assert (env.render() != first).any()
+    env.reset(seed=2)
+    assert (env.render() == first).all()
+    env.close()
+
+
+def test_depth_is_what_observations_of_depth_have(server: str) -> None:
+    view = {"image_size": (24, 32), "camera": "overview"}
+    env = trocar.TrocarEnv(
+        "NeedlePick-v0",
+        server=server,
+        observation=("depth",),
+        render_mode="depth_array",
+        render_options=view,
+        **view,
+    )
+    observation, _ = env.reset(seed=1)
+    picture = env.render()
+    assert picture is not None
+    assert (picture.dtype, picture.shape) == (np.float32, (24, 32))
+    # Pictures for people have smooth edges, and everything else the same.
+    assert np.median(np.abs(picture - observation["depth"][..., 0])) < 1e-4
+    env.close()
+
+
+def test_rendering_changes_nothing(server: str) -> None:
+    def course(mode: str | None) -> list[bytes]:
+        options = None if mode is None else SMALL
+        env = trocar.TrocarEnv(
+            "NeedlePick-v0", server=server, render_mode=mode, render_options=options
+        )
+        env.reset(seed=7)
+        env.action_space.seed(7)
+        seen = []
+        for _ in range(12):
+            observation, *_ = env.step(env.action_space.sample())
+            seen.append(observation["observation"].tobytes())
+            env.render()
+        env.close()
+        return seen
+
+    assert course(None) == course("rgb_array") == course("depth_array")
+
+
+def test_vector_environments_give_a_picture_of_each(server: str) -> None:
+    envs = gym.make_vec(
+        "trocar/NeedleReach-v0",
+        num_envs=3,
+        server=server,
+        render_mode="rgb_array",
+        render_options={**SMALL, "camera": "endoscope"},
+    )
+    envs.reset(seed=4)
+    pictures = envs.render()
+    assert isinstance(pictures, tuple)
+    assert [picture.shape for picture in pictures] == [(24, 32, 3)] * 3
+    assert (pictures[0] != pictures[1]).any()
+    single = trocar.TrocarEnv(
+        "NeedleReach-v0",
+        server=server,
+        render_mode="rgb_array",
+        render_options={**SMALL, "camera": "endoscope"},
+    )
+    single.reset(seed=5)
+    assert (single.render() == pictures[1]).all()
+    assert len(envs.call("render")) == 3
+    single.close()
+    envs.close()
+
+
+def test_gymnasiums_wrappers_collect_pictures(server: str) -> None:
+    env = gym.make(
+        "trocar/EcmReach-v0", server=server, render_mode="rgb_array", render_options=SMALL
+    )
+    collected = RecordEpisodeStatistics(RenderCollection(env))
+    collected.reset(seed=0)
+    for _ in range(3):
+        collected.step(collected.action_space.sample())
+    frames = collected.render()
+    assert isinstance(frames, list)
+    assert len(frames) == 4
+    collected.close()
+
+
+def test_without_a_mode_nothing_is_drawn_and_without_a_state_it_is_said(server: str) -> None:
+    env = trocar.TrocarEnv("NeedleReach-v0", server=server)
+    env.reset(seed=0)
+    assert env.render() is None
+    env.close()
+    env = trocar.TrocarEnv("NeedleReach-v0", server=server, render_mode="rgb_array")
+    with pytest.raises(ResetNeeded, match="reset"):
+        env.render()
+    env.close()
+
+
+def test_views_that_cannot_be_are_refused(server: str) -> None:
+    for wrong, words in [
+        ({"image_size": (4, 4)}, "image_size"),
+        ({"camera": "kitchen"}, "endoscope"),
+        ({"zoom": 2.0}, "zoom"),
+    ]:
+        with pytest.raises(ValueError, match=words):
+            trocar.TrocarEnv(
+                "NeedleReach-v0", server=server, render_mode="rgb_array", render_options=wrong
+            )
+
+
+def test_many_pictures_take_no_more_memory_than_is_counted(own_server: trocar.Server) -> None:
+    env = trocar.TrocarEnv("NeedleReach-v0", server=own_server.name, render_mode="rgb_array")
+    env.reset(seed=0)
+    counted = own_server.status()["memory_bytes"]
+    for _ in range(60):
+        env.render()
+    # As the server names its shared memory: by the FNV-1a hash of its folder's name.
+    number = 0x811C9DC5
+    for byte in f"trocar.{os.getuid()}.{own_server.name}".encode():
+        number = (number ^ byte) * 0x01000193 % 2**32
+    pieces = list(Path("/dev/shm").glob(f"trocar-{number:08x}.*"))
+    assert sum(path.stat().st_blocks * 512 for path in pieces) < counted
+    assert max(path.stat().st_blocks * 512 for path in pieces) > 480 * 640 * 3
+    env.close()
