@@ -11,7 +11,8 @@ use iceoryx2::port::notifier::Notifier;
 use iceoryx2::prelude::{Alignment, EventId, ServiceName};
 use iceoryx2::response::Response;
 use trocar_proto::control::{self, ControlReply, ControlRequest, MAX_MESSAGE, SessionInfo};
-use trocar_proto::endpoint::{self, LEAST_WAIT, Membership, Node, ServerState, Transport, Vigil};
+use trocar_proto::endpoint::{self, LEAST_WAIT, Membership, Node, ServerState, Transport};
+use trocar_proto::vigil::Vigil;
 use trocar_proto::wire::{ALIGNMENT, Header};
 use trocar_proto::{Code, Rejection};
 

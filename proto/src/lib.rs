@@ -3,6 +3,7 @@
 //! | module | holds |
 //! |---|---|
 //! | [`endpoint`] | where a server is found: names, folders, transport configuration |
+//! | [`vigil`] | waiting for a message awake |
 //! | [`control`] | rare messages: hello, tasks, sessions, status (serde + bincode, at most 64 KiB) |
 //! | [`wire`] | frequent messages: step and reset as plain arrays in shared memory |
 //! | [`spec`] | what a task looks like: actions, observations, goals, options |
@@ -33,6 +34,7 @@ pub mod goal;
 pub mod snapshot;
 pub mod spec;
 pub mod stage;
+pub mod vigil;
 pub mod wire;
 
 pub use error::{Code, Rejection};

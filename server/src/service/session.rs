@@ -11,7 +11,8 @@ use iceoryx2::prelude::EventId;
 use trocar_proto::control::{
     self, Autoreset, ClientInfo, ControlReply, SessionInfo, SessionRequest, SessionStatus,
 };
-use trocar_proto::endpoint::{Node, Vigil};
+use trocar_proto::endpoint::Node;
+use trocar_proto::vigil::Vigil;
 use trocar_proto::wire::{Header, MAX_IN_FLIGHT, ReplyLayout, RequestLayout, flag, kind};
 use trocar_proto::{Code, Rejection};
 
