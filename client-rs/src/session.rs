@@ -480,7 +480,7 @@ impl Drop for Session {
             let (session, node) = (self.info.session, port.link().node_id());
             // Where the server is gone, so is the session.
             port.link().call(&ControlRequest::CloseSession { session, node }).ok();
-            port.wake().ok();
+            port.wake();
         }
     }
 }

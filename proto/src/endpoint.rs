@@ -32,6 +32,9 @@ use crate::error::{Code, Rejection};
 /// Where shared memory lives on Linux.
 const SHARED_MEMORY: &str = "/dev/shm";
 
+/// How the names of bells go on after the prefix.
+const BELLS: &str = "bells.";
+
 /// The flavour of transport that both sides use; its ports may move between threads.
 pub type Transport = ipc_threadsafe::Service;
 
@@ -215,6 +218,24 @@ impl Endpoint {
                 paths.push(entry.path());
             }
         }
+        Ok(paths)
+    }
+
+    /// The bells of a session of the run `epoch` of the server.
+    pub(crate) fn bells(&self, epoch: u64, session: u64) -> PathBuf {
+        let name = format!("{}{BELLS}{epoch:016x}.{session}", self.prefix);
+        Path::new(SHARED_MEMORY).join(name)
+    }
+
+    /// The bells of all sessions that there are.
+    pub(crate) fn all_bells(&self) -> io::Result<Vec<PathBuf>> {
+        let start = format!("{}{BELLS}", self.prefix);
+        let mut paths = self.segments()?;
+        paths.retain(|path| {
+            path.file_name()
+                .and_then(|name| name.to_str())
+                .is_some_and(|name| name.starts_with(&start))
+        });
         Ok(paths)
     }
 
@@ -409,16 +430,6 @@ pub fn control_service(epoch: u64) -> String {
 /// Name of a session's data service.
 pub fn data_service(epoch: u64, session: u64) -> String {
     format!("session/{epoch:016x}/{session}/data")
-}
-
-/// Name of the event service that announces a session's requests to the server.
-pub fn request_bell(epoch: u64, session: u64) -> String {
-    format!("session/{epoch:016x}/{session}/request")
-}
-
-/// Name of the event service that announces a session's replies to the client.
-pub fn reply_bell(epoch: u64, session: u64) -> String {
-    format!("session/{epoch:016x}/{session}/reply")
 }
 
 #[cfg(test)]

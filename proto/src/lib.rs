@@ -3,6 +3,7 @@
 //! | module | holds |
 //! |---|---|
 //! | [`endpoint`] | where a server is found: names, folders, transport configuration |
+//! | [`bell`] | what tells the other side of a session that a message is there |
 //! | [`vigil`] | waiting for a message awake |
 //! | [`control`] | rare messages: hello, tasks, sessions, status (serde + bincode, at most 64 KiB) |
 //! | [`wire`] | frequent messages: step and reset as plain arrays in shared memory |
@@ -27,6 +28,7 @@
 //! assert_eq!(Reward::Sparse.of(&rule, &[0.0; 3], &[0.1, 0.0, 0.0]), -1.0);
 //! ```
 
+pub mod bell;
 pub mod control;
 pub mod endpoint;
 pub mod error;
@@ -42,4 +44,4 @@ pub use spec::{OptionValue, Options, TaskSpec};
 pub use stage::Stage;
 
 /// Version of everything in this crate; both sides must have the same.
-pub const PROTOCOL_VERSION: u32 = 3;
+pub const PROTOCOL_VERSION: u32 = 4;

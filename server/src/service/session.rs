@@ -7,11 +7,10 @@ use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 use hdrhistogram::Histogram;
-use iceoryx2::prelude::EventId;
 use trocar_proto::control::{
     self, Autoreset, ClientInfo, ControlReply, SessionInfo, SessionRequest, SessionStatus,
 };
-use trocar_proto::endpoint::Node;
+use trocar_proto::endpoint::{Endpoint, Node};
 use trocar_proto::vigil::Vigil;
 use trocar_proto::wire::{Header, MAX_IN_FLIGHT, ReplyLayout, RequestLayout, flag, kind};
 use trocar_proto::{Code, Rejection};
@@ -35,6 +34,7 @@ pub(super) struct Ground {
     pub(super) registry: Arc<Registry>,
     pub(super) meter: Arc<Meter>,
     pub(super) node: Arc<Node>,
+    pub(super) endpoint: Endpoint,
     pub(super) epoch: u64,
     pub(super) idle_limit: Duration,
 }
@@ -277,7 +277,7 @@ impl Session {
             let why = "the session is being closed";
             return Err(Rejection::new(Code::UnknownSession, "session", id, why));
         }
-        let ports = DataPorts::open(&ground.node, epoch, id, reply_layout.bytes)?;
+        let ports = DataPorts::open(&ground.node, &ground.endpoint, epoch, id, reply_layout.bytes)?;
         let session = Self {
             ports,
             inbox: Inbox {
@@ -320,6 +320,7 @@ impl Session {
         while !self.shared.stop.load(Ordering::Acquire) && left > 0 {
             // Asked before a request is looked for: what arrived by then is answered.
             let finish = self.shared.finish.load(Ordering::Acquire);
+            let seen = self.ports.bells.request().count();
             match self.ports.port.receive() {
                 Ok(Some(request)) => {
                     vigil.end();
@@ -337,12 +338,12 @@ impl Session {
                     if active.elapsed() > self.ground.idle_limit {
                         break;
                     }
-                    self.ports.bell.timed_wait(|_| {}, SLICE).ok();
+                    self.ports.bells.request().sleep(seen, SLICE);
                 }
                 Err(error) => {
                     let session = self.shared.id;
                     tracing::warn!(session, ?error, "a request was not received");
-                    self.ports.bell.timed_wait(|_| {}, SLICE).ok();
+                    self.ports.bells.request().sleep(seen, SLICE);
                 }
             }
         }
@@ -382,7 +383,7 @@ impl Session {
         if let Err(error) = response.send() {
             tracing::debug!(session = self.shared.id, ?error, "a reply was not delivered");
         }
-        self.ports.reply_bell.notify_with_custom_event_id(EventId::new(0)).ok();
+        self.ports.bells.reply().ring();
         steps
     }
 
