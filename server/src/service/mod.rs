@@ -26,11 +26,14 @@ mod desk;
 mod exporter;
 mod lease;
 mod meter;
+mod pile;
 mod ports;
 mod rows;
 mod scheduler;
+mod seat;
 mod session;
 mod store;
+mod turns;
 
 use std::io;
 use std::net::SocketAddr;
