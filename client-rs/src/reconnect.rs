@@ -6,7 +6,8 @@ use trocar_proto::Code;
 
 use crate::client::Client;
 use crate::error::{CallError, ReconnectError};
-use crate::session::{Reply, Session};
+use crate::reply::Reply;
+use crate::session::Session;
 
 /// Where the environments of a session go on after [`Session::reconnect`]; the reply shows it.
 #[derive(Debug)]

@@ -6,12 +6,13 @@ use std::time::{Duration, Instant};
 use iceoryx2::pending_response::PendingResponse;
 use iceoryx2::port::ReceiveError;
 use iceoryx2::port::client::Client as ClientPort;
-use iceoryx2::port::listener::{Listener, ListenerWaitError};
 use iceoryx2::port::notifier::Notifier;
 use iceoryx2::prelude::{Alignment, EventId, ServiceName};
 use iceoryx2::response::Response;
+use trocar_proto::bell::{Bells, Woken};
 use trocar_proto::control::{self, ControlReply, ControlRequest, MAX_MESSAGE, SessionInfo};
-use trocar_proto::endpoint::{self, LEAST_WAIT, Membership, Node, ServerState, Transport, Vigil};
+use trocar_proto::endpoint::{self, Membership, Node, ServerState, Transport};
+use trocar_proto::vigil::Vigil;
 use trocar_proto::wire::{ALIGNMENT, Header};
 use trocar_proto::{Code, Rejection};
 
@@ -20,6 +21,9 @@ pub(crate) use crate::owned::Owned;
 
 /// How long a wait may last before the server's life is checked.
 pub(crate) const SLICE: Duration = Duration::from_millis(100);
+
+/// How long the first wait may last: then the session's thread is woken up, whatever the bell says.
+const NUDGE: Duration = Duration::from_millis(2);
 
 /// How long control replies are polled for without sleeping.
 const BRISK: Duration = Duration::from_micros(200);
@@ -155,8 +159,7 @@ impl Link {
 #[derive(Debug)]
 pub(crate) struct DataPort {
     port: Port,
-    bell: Notifier<Transport>,
-    reply_bell: Listener<Transport>,
+    bells: Bells,
     vigil: Vigil,
     request_bytes: usize,
     session: u64,
@@ -186,21 +189,9 @@ impl DataPort {
             .initial_max_slice_len(request_bytes)
             .create()
             .map_err(transport("data port"))?;
-        let bell = |name: String| {
-            let builder = link.node.service_builder(&service_name(&name));
-            builder.event().open().map_err(transport("session bell"))
-        };
-        let request_bell = bell(endpoint::request_bell(epoch, session))?;
-        let reply_bell = bell(endpoint::reply_bell(epoch, session))?;
-        Ok(Self {
-            port,
-            bell: request_bell.notifier_builder().create().map_err(transport("request bell"))?,
-            reply_bell: reply_bell.listener_builder().create().map_err(transport("reply bell"))?,
-            vigil: Vigil::new(),
-            request_bytes,
-            session,
-            link,
-        })
+        let bells = Bells::open(link.membership.endpoint(), epoch, session);
+        let bells = bells.map_err(transport("session bells"))?;
+        Ok(Self { port, bells, vigil: Vigil::new(), request_bytes, session, link })
     }
 
     /// Sends a request whose payload `fill` writes.
@@ -213,7 +204,7 @@ impl DataPort {
         fill(request.payload_mut());
         *request.user_header_mut() = header;
         let pending = request.send().map_err(transport("request"))?;
-        ring(&self.bell)?;
+        self.bells.request().ring();
         Ok(pending)
     }
 
@@ -225,8 +216,10 @@ impl DataPort {
         patience: Duration,
     ) -> Result<Option<RawReply>, CallError> {
         let deadline = Instant::now() + patience;
+        let mut slice = NUDGE;
         self.vigil.begin();
         loop {
+            let seen = self.bells.reply().count();
             // Asked before the reply is looked for: a server answers, and then lets go.
             let held = pending.number_of_server_connections() > 0 && pending.is_connected();
             match pending.receive() {
@@ -246,22 +239,22 @@ impl DataPort {
             if left.is_zero() {
                 return Ok(None);
             }
-            let (start, wait) = (Instant::now(), left.clamp(LEAST_WAIT, SLICE));
-            match self.reply_bell.timed_wait(|_| {}, wait) {
-                // Where two replies are waited for, one ring may have told of both: the next look at
-                // the bell finds nothing at once, and means nothing.
-                Ok(0) if 2 * start.elapsed() >= wait => self.link.check_answers()?,
-                Ok(_) => {}
+            match self.bells.reply().sleep(seen, left.min(slice)) {
+                Woken::Rung => {}
+                Woken::Late => {
+                    self.link.check_answers()?;
+                    self.bells.request().wake();
+                    slice = SLICE;
+                }
                 // The caller may want to act on the signal.
-                Err(ListenerWaitError::InterruptSignal) => return Ok(None),
-                Err(error) => return Err(transport("reply bell")(error)),
+                Woken::Interrupted => return Ok(None),
             }
         }
     }
 
     /// Wakes the session, so that it sees at once that it was closed.
-    pub(crate) fn wake(&self) -> Result<(), CallError> {
-        ring(&self.bell)
+    pub(crate) fn wake(&self) {
+        self.bells.request().ring();
     }
 
     pub(crate) fn link(&self) -> &Arc<Owned<Link>> {

@@ -20,7 +20,7 @@ use std::io;
 use std::os::unix::fs::{DirBuilderExt, FileExt, MetadataExt, OpenOptionsExt};
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use iceoryx2::config::Config;
 use iceoryx2::node::NodeBuilder;
@@ -31,6 +31,9 @@ use crate::error::{Code, Rejection};
 
 /// Where shared memory lives on Linux.
 const SHARED_MEMORY: &str = "/dev/shm";
+
+/// How the names of bells go on after the prefix.
+const BELLS: &str = "bells.";
 
 /// The flavour of transport that both sides use; its ports may move between threads.
 pub type Transport = ipc_threadsafe::Service;
@@ -44,66 +47,6 @@ pub const MAX_CLIENTS: usize = 512;
 /// Shortest wait at a bell: the transport counts in whole microseconds (`timeval`), and the kernel
 /// takes none of them for a wait without end (socket(7), `SO_RCVTIMEO`).
 pub const LEAST_WAIT: Duration = Duration::from_micros(1);
-
-/// Waiting awake for the other side's next message: the core is offered to others between looks.
-/// That saves a wake-up, which costs more than a small step, and the system calls at the bell. Where
-/// the message comes late, because it takes long or because others kept the core that was offered,
-/// the next waits are slept through, the more of them the more often that happens.
-#[derive(Debug)]
-pub struct Vigil {
-    start: Instant,
-    /// Waits that are still to be slept through.
-    asleep: u32,
-    /// How many it was after the last late message, less one for each that came soon.
-    penalty: u32,
-}
-
-impl Vigil {
-    /// How long it lasts.
-    const LONGEST: Duration = Duration::from_micros(50);
-
-    /// Waits that one late message costs: others keep a core for milliseconds, and a wake-up that is
-    /// saved is worth some ten microseconds.
-    const LEAST: u32 = 512;
-    const MOST: u32 = 8192;
-
-    /// One that has to find out whether it pays.
-    pub fn new() -> Self {
-        Self { start: Instant::now(), asleep: 0, penalty: 0 }
-    }
-
-    /// The wait for a message begins.
-    pub fn begin(&mut self) {
-        self.start = Instant::now();
-    }
-
-    /// The message is there.
-    pub fn end(&mut self) {
-        if self.asleep > 0 {
-            self.asleep -= 1;
-        } else if self.start.elapsed() < Self::LONGEST {
-            self.penalty = self.penalty.saturating_sub(1);
-        } else {
-            self.penalty = (2 * self.penalty + Self::LEAST).min(Self::MOST);
-            self.asleep = self.penalty;
-        }
-    }
-
-    /// Offers the core to others and returns true; false where it is time to sleep.
-    pub fn keep(&self) -> bool {
-        let keep = self.asleep == 0 && self.start.elapsed() < Self::LONGEST;
-        if keep {
-            std::thread::yield_now();
-        }
-        keep
-    }
-}
-
-impl Default for Vigil {
-    fn default() -> Self {
-        Self::new()
-    }
-}
 
 /// The name of a server: 1 to 24 letters, digits, `-` or `_`.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -275,6 +218,24 @@ impl Endpoint {
                 paths.push(entry.path());
             }
         }
+        Ok(paths)
+    }
+
+    /// The bells of a session of the run `epoch` of the server.
+    pub(crate) fn bells(&self, epoch: u64, session: u64) -> PathBuf {
+        let name = format!("{}{BELLS}{epoch:016x}.{session}", self.prefix);
+        Path::new(SHARED_MEMORY).join(name)
+    }
+
+    /// The bells of all sessions that there are.
+    pub(crate) fn all_bells(&self) -> io::Result<Vec<PathBuf>> {
+        let start = format!("{}{BELLS}", self.prefix);
+        let mut paths = self.segments()?;
+        paths.retain(|path| {
+            path.file_name()
+                .and_then(|name| name.to_str())
+                .is_some_and(|name| name.starts_with(&start))
+        });
         Ok(paths)
     }
 
@@ -469,16 +430,6 @@ pub fn control_service(epoch: u64) -> String {
 /// Name of a session's data service.
 pub fn data_service(epoch: u64, session: u64) -> String {
     format!("session/{epoch:016x}/{session}/data")
-}
-
-/// Name of the event service that announces a session's requests to the server.
-pub fn request_bell(epoch: u64, session: u64) -> String {
-    format!("session/{epoch:016x}/{session}/request")
-}
-
-/// Name of the event service that announces a session's replies to the client.
-pub fn reply_bell(epoch: u64, session: u64) -> String {
-    format!("session/{epoch:016x}/{session}/reply")
 }
 
 #[cfg(test)]

@@ -3,6 +3,8 @@
 //! | module | holds |
 //! |---|---|
 //! | [`endpoint`] | where a server is found: names, folders, transport configuration |
+//! | [`bell`] | what tells the other side of a session that a message is there |
+//! | [`vigil`] | waiting for a message awake |
 //! | [`control`] | rare messages: hello, tasks, sessions, status (serde + bincode, at most 64 KiB) |
 //! | [`wire`] | frequent messages: step and reset as plain arrays in shared memory |
 //! | [`spec`] | what a task looks like: actions, observations, goals, options |
@@ -26,6 +28,7 @@
 //! assert_eq!(Reward::Sparse.of(&rule, &[0.0; 3], &[0.1, 0.0, 0.0]), -1.0);
 //! ```
 
+pub mod bell;
 pub mod control;
 pub mod endpoint;
 pub mod error;
@@ -33,6 +36,7 @@ pub mod goal;
 pub mod snapshot;
 pub mod spec;
 pub mod stage;
+pub mod vigil;
 pub mod wire;
 
 pub use error::{Code, Rejection};

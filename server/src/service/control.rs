@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 
 use iceoryx2::port::listener::ListenerWaitError;
 use trocar_proto::control::{self, ClientInfo, ControlReply, ControlRequest, ServerStatus};
-use trocar_proto::endpoint::{LEAST_WAIT, MAX_CLIENTS, Node, ServerLock};
+use trocar_proto::endpoint::{Endpoint, LEAST_WAIT, MAX_CLIENTS, Node, ServerLock};
 use trocar_proto::wire::Header;
 use trocar_proto::{Code, Rejection};
 
@@ -29,6 +29,7 @@ pub(super) fn run(
     config: &ServerConfig,
     lock: &ServerLock,
     node: &Arc<Node>,
+    endpoint: Endpoint,
     stop: &StopSignal,
     ready: impl FnOnce(),
 ) -> Result<(), ServeError> {
@@ -52,6 +53,7 @@ pub(super) fn run(
             registry,
             meter,
             node: Arc::clone(node),
+            endpoint,
             epoch,
             idle_limit: config.idle_limit,
             failures: config.failures.clone().map(Failures::new),

@@ -383,9 +383,7 @@ pub(super) fn shared_bytes(envs: usize, spec: &TaskSpec, view: Option<&PictureLa
     // Buffers are used again, the last one first: no more of them hold pictures than are held at a time.
     let pictures = MAX_IN_FLIGHT + MAX_HELD_REPLIES + 1;
     let more = view.map_or(0, |view| view.bytes.saturating_sub(reply));
-    let bytes = replies * reply
-        + pictures * more
-        + requests * RequestLayout::new(envs, spec).bytes;
+    let bytes = replies * reply + pictures * more + requests * RequestLayout::new(envs, spec).bytes;
     bytes as u64 + SERVICE_BYTES
 }
 

@@ -27,11 +27,14 @@ mod desk;
 mod exporter;
 mod lease;
 mod meter;
+mod pile;
 mod ports;
 mod rows;
 mod scheduler;
+mod seat;
 mod session;
 mod store;
+mod turns;
 mod witness;
 
 use std::io;
@@ -41,6 +44,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU8, Ordering};
 use std::time::{Duration, Instant};
 
+use trocar_proto::bell::Bells;
 use trocar_proto::endpoint::{Endpoint, Membership, ServerLock, ServerName, ServerState};
 use trocar_proto::{Code, Rejection};
 
@@ -188,11 +192,15 @@ pub fn serve(
     // A predecessor may have died while its clients live: what it left goes first. So does what
     // nobody uses under other names: those of private servers are not used again.
     node.try_cleanup_dead_nodes();
+    Bells::clear(&endpoint).map_err(folder)?;
     for other in Endpoint::all().map_err(folder)? {
         other.remove_if_unused().ok();
     }
-    let served = control::run(Arc::new(registry), config, &lock, &node, stop, ready);
+    let served =
+        control::run(Arc::new(registry), config, &lock, &node, endpoint.clone(), stop, ready);
     node.try_cleanup_dead_nodes();
+    // Of sessions that were left behind.
+    Bells::clear(&endpoint).ok();
     drop(node);
     drop(lock);
     // The last one out removes the folder: this server, or a client that is still there.

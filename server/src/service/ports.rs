@@ -1,15 +1,17 @@
 //! The server's ends of the transport: how its services are made, and what a reply is.
 
+use std::sync::Arc;
+
 use iceoryx2::active_request::ActiveRequest;
 use iceoryx2::port::LoanError;
 use iceoryx2::port::listener::Listener;
-use iceoryx2::port::notifier::Notifier;
 use iceoryx2::port::server::Server as ServerPort;
 use iceoryx2::prelude::{Alignment, ServiceName};
 use iceoryx2::response_mut::ResponseMut;
 use trocar_proto::Rejection;
+use trocar_proto::bell::Bells;
 use trocar_proto::control::{self, ControlReply, MAX_MESSAGE};
-use trocar_proto::endpoint::{self, MAX_CLIENTS, Node, Transport};
+use trocar_proto::endpoint::{self, Endpoint, MAX_CLIENTS, Node, Transport};
 use trocar_proto::wire::{ALIGNMENT, Header, MAX_HELD_REPLIES, MAX_IN_FLIGHT};
 
 use super::internal;
@@ -106,14 +108,14 @@ pub(super) fn reply(request: &Request, reply: &ControlReply) {
 /// Where the requests of one session arrive, and what tells its client of replies.
 pub(super) struct DataPorts {
     pub(super) port: Port,
-    pub(super) bell: Listener<Transport>,
-    pub(super) reply_bell: Notifier<Transport>,
+    pub(super) bells: Arc<Bells>,
 }
 
 impl DataPorts {
-    /// Creates the services of a session whose replies have `reply_bytes` bytes.
+    /// Creates the service and the bells of a session whose replies have `reply_bytes` bytes.
     pub(super) fn open(
         node: &Node,
+        endpoint: &Endpoint,
         epoch: u64,
         session: u64,
         reply_bytes: usize,
@@ -138,24 +140,14 @@ impl DataPorts {
             .enable_fire_and_forget_requests(false)
             .create()
             .map_err(internal("data service"))?;
-        let bell = |name: String| {
-            let service = node.service_builder(&service_name(&name)).event();
-            // Taking a bell down looks at every event there could be: there is only 0.
-            let service = service.event_id_max_value(0).max_listeners(1).max_notifiers(1);
-            let service = service.max_nodes(2).create();
-            service.map_err(internal("session bell"))
-        };
-        let request_bell = bell(endpoint::request_bell(epoch, session))?;
-        let reply_bell = bell(endpoint::reply_bell(epoch, session))?;
+        let bells = Bells::make(endpoint, epoch, session).map_err(internal("session bells"))?;
         let port = service
             .server_builder()
             .initial_max_slice_len(reply_bytes)
             .max_loaned_responses_per_request(1)
             .create()
             .map_err(internal("data port"))?;
-        let bell = request_bell.listener_builder().create().map_err(internal("request bell"))?;
-        let reply_bell = reply_bell.notifier_builder().create().map_err(internal("reply bell"))?;
-        Ok(Self { port, bell, reply_bell })
+        Ok(Self { port, bells: Arc::new(bells) })
     }
 }
 
