@@ -20,7 +20,7 @@ mod hinge;
 mod inertia;
 mod tie;
 
-pub use contact::{Overlap, Push};
+pub use contact::{Contact, Overlap, Push};
 pub use hinge::{Hinge, HingedId};
 pub use inertia::Inertia;
 pub use tie::TieId;
@@ -573,6 +573,14 @@ mod tests {
         }
         let push = world.push_on(&[plate]);
         assert!((push.force.z + 0.01 * GRAVITY).abs() < 0.002, "{push:?}");
+        let contacts: Vec<_> = world.contacts().collect();
+        let weight: Vector3<f64> = contacts.iter().map(|contact| contact.force).sum();
+        assert!((weight + push.force).norm() < 1e-9, "{contacts:?}");
+        for contact in contacts {
+            assert_eq!((contact.on, contact.by), (body, plate));
+            let Point3 { coords, .. } = contact.point;
+            assert!(coords.xy().abs().max() < 1.1e-3 && coords.z.abs() < 1e-4, "{coords}");
+        }
         for _ in 0..140 {
             world.step();
         }
