@@ -26,7 +26,7 @@ PLOT_VENV := .venv-plot
 # With the wheels, tasks that grasp are left out: what they add takes long and is not Gymnasium's.
 WHEEL_TESTS := "not stubs and not Pick and not Peg and not Regrasp and not Gauze"
 # Python files under ruff, as seen from client-py/, whose pyproject.toml has the rules.
-PYTHON_CODE := . ../server/cli/src/demo ../server/cli/src/bench ../server/cli/src/load
+PYTHON_CODE := . ../server/cli/src/demo ../server/cli/src/bench ../server/cli/src/load ../server/view/tests
 # What people train with, each with the Gymnasium that it needs.
 RL_BIN := $(abspath .venv-rl/bin)
 RLLIB_BIN := $(abspath .venv-rllib/bin)
@@ -54,6 +54,17 @@ pictures: ## assets/pictures/<task>.png: a picture of every task, for the README
 	$(CARGO) build --release --locked -p trocar
 	$(TARGET)/release/trocar render --each assets/pictures
 
+.PHONY: picture-viewer
+picture-viewer: $(VENV)/ready ## * assets/pictures/viewer.png: the live viewer, as test-browser sees it
+	$(CARGO) build --release --locked -p trocar
+	TROCAR_BINARY=$(TARGET)/release/trocar $(BIN)/python server/view/tests/test_viewer.py assets/pictures/viewer.png
+
+# What it is built from has its hash in page.sha256, so that nobody needs Node to see whether it is stale.
+.PHONY: viewer
+viewer: ## server/view/page.html: builds the page of the live viewer anew; needs Node >= 20 with npm
+	cd server/view && npm ci --ignore-scripts --no-audit --no-fund && node build.mjs
+	cd server/view && LC_ALL=C sha256sum build.mjs package.json package-lock.json src/* page.html > page.sha256
+
 .PHONY: wheels
 wheels: $(VENV)/ready ## * dist/: the wheels trocar (client) and trocar-server (the program)
 	rm -rf dist
@@ -66,7 +77,7 @@ wheels: $(VENV)/ready ## * dist/: the wheels trocar (client) and trocar-server (
 test: lint test-rust test-python test-wheels ## * all that CI runs: lints, Rust, Python, wheels
 
 .PHONY: lint
-lint: lint-rust lint-python ## * formatting, clippy, ruff, generated assets
+lint: lint-rust lint-python lint-viewer ## * formatting, clippy, ruff, generated assets
 
 .PHONY: lint-rust
 lint-rust:
@@ -77,6 +88,10 @@ lint-rust:
 lint-python: $(VENV)/ready
 	$(PYTHON) assets/generate.py --check
 	cd client-py && $(BIN)/ruff check $(PYTHON_CODE) && $(BIN)/ruff format --check $(PYTHON_CODE)
+
+.PHONY: lint-viewer
+lint-viewer:
+	cd server/view && sha256sum --check --quiet page.sha256 || { echo 'page.html is stale: run `make viewer`'; exit 1; }
 
 .PHONY: test-rust
 test-rust: ## Rust: unit, task suite, command, multi-process (reduced counts)
@@ -98,6 +113,14 @@ test-wheels: $(VENV)/ready ## * both wheels with the oldest Gymnasium, without R
 	cd / && PATH=$(WHEEL_BIN) trocar --version
 	cd / && PATH=$(WHEEL_BIN) python $(CURDIR)/client-py/examples/random_policy.py
 	cd client-py && PATH=$(WHEEL_BIN):/usr/bin:/bin python -m pytest tests -k $(WHEEL_TESTS)
+
+# Where Node is, also whether the page is what its sources give.
+.PHONY: test-browser
+test-browser: lint-viewer $(VENV)/ready ## * the live viewer in a headless Chromium, which it needs (apt install chromium)
+	$(CARGO) build $(RUST) --bin trocar
+	if command -v npm; then cd server/view && npm ci --ignore-scripts --no-audit --no-fund && node build.mjs --check; fi
+	cd client-py && $(BIN)/mypy ../server/view/tests/*.py
+	cd client-py && TROCAR_BINARY=$(TARGET)/debug/trocar timeout --signal=INT 900 $(BIN)/python -m pytest -c pyproject.toml ../server/view/tests
 
 .PHONY: test-rl
 test-rl: develop .venv-rl/ready .venv-rllib/ready ## * SB3, TorchRL, CleanRL, RLlib: tests, examples; fetches 5 GB
@@ -164,7 +187,7 @@ fmt: $(VENV)/ready ## * formats Rust and Python
 .PHONY: clean
 clean: ## removes all that the targets above made
 	$(CARGO) clean
-	rm -rf $(VENV) $(WHEEL_VENV) $(PLOT_VENV) .venv-rl .venv-rllib dist client-py/python/trocar/*.so
+	rm -rf $(VENV) $(WHEEL_VENV) $(PLOT_VENV) .venv-rl .venv-rllib dist client-py/python/trocar/*.so server/view/node_modules
 
 # The program, the example of an own task and the Python package of this tree, in the profile that tests use.
 .PHONY: develop

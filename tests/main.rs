@@ -13,6 +13,7 @@
 //! | `snapshots.rs` | snapshot, restore, fork; bytes that go to another server |
 //! | `reconnect.rs` | sessions that survive the loss of their server |
 //! | `operation.rs` | quotas, metrics, logs, an end in order |
+//! | `view.rs` | the live viewer |
 //! | `fuzz.rs` | hostile bytes sent to a running server |
 //! | `namespaces.rs` | server and client in separate process namespaces |
 //! | `dependencies.rs` | who may depend on what |
@@ -35,3 +36,4 @@ mod refusals;
 mod rows;
 mod snapshots;
 mod twin;
+mod view;

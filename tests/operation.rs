@@ -99,6 +99,7 @@ fn quotas_that_make_no_sense_are_refused_by_name() {
         ("--client-memory", "1KiB"),
         ("--client-threads", "0"),
         ("--metrics", "somewhere"),
+        ("--view", "somewhere"),
         ("--log", "a=b=c"),
         ("--log-format", "xml"),
     ] {
@@ -110,13 +111,13 @@ fn quotas_that_make_no_sense_are_refused_by_name() {
 }
 
 /// A server that logs to a file of its own.
-struct Logged {
-    server: Server,
+pub(crate) struct Logged {
+    pub(crate) server: Server,
     log: PathBuf,
 }
 
 impl Logged {
-    fn start(arguments: &[&str]) -> Self {
+    pub(crate) fn start(arguments: &[&str]) -> Self {
         let name = unique_name();
         let log = Path::new(env!("CARGO_TARGET_TMPDIR")).join(&name);
         let mut command = serve(&name);
@@ -126,7 +127,7 @@ impl Logged {
     }
 
     /// The first line with this message.
-    fn line(&self, message: &str) -> Value {
+    pub(crate) fn line(&self, message: &str) -> Value {
         let mut found = None;
         eventually(&format!("{message:?} is logged"), || {
             let log = std::fs::read_to_string(&self.log).unwrap();
@@ -145,7 +146,7 @@ impl Drop for Logged {
 }
 
 /// The answer to `GET path`.
-fn get(address: &str, path: &str) -> String {
+pub(crate) fn get(address: &str, path: &str) -> String {
     let mut stream = TcpStream::connect(address).unwrap();
     write!(stream, "GET {path} HTTP/1.1\r\nHost: {address}\r\nConnection: close\r\n\r\n").unwrap();
     let mut answer = String::new();

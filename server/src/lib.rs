@@ -9,6 +9,7 @@
 //! | [`render`] | pictures of it: colour, depth, bodies |
 //! | [`env`] | one environment: a task in its world, episode by episode |
 //! | [`error`] | why an environment could not be stepped |
+//! | [`view`] | the live viewer: a page over HTTP |
 //! | [`service`] | hosting: sessions of many clients over shared memory |
 //!
 //! Nothing here but hosting knows of clients: an [`Env`] runs wherever it is made.
@@ -21,6 +22,7 @@ pub mod robots;
 pub mod service;
 pub mod sim;
 pub mod tasks;
+pub mod view;
 
 pub use env::{Env, Step};
 pub use error::StepError;

@@ -28,6 +28,7 @@ Examples:
   trocar serve --name lab --cpus 4-7           on four processors and no others
   trocar serve --name lab --memory 4GiB --idle-limit 10min
   trocar serve --name lab --client-envs 256 --client-threads 2    no client gets more
+  trocar serve --name lab --view 8080          watch it at http://127.0.0.1:8080
   trocar serve --name lab --metrics 9100 --log-format json        for Prometheus and a log collector
 
 A client is a process; by default it may have all that the server has. Metrics are at
@@ -76,6 +77,9 @@ pub(crate) struct Serve {
     /// none records nothing [default: trocar/failures in $XDG_STATE_HOME or ~/.local/state]
     #[arg(long, value_name = "FOLDER")]
     failures: Option<PathBuf>,
+    /// Serve a page that shows what is simulated, at this address: a port of 127.0.0.1, or ADDRESS:PORT
+    #[arg(long, value_name = "ADDR", value_parser = parse_address)]
+    view: Option<SocketAddr>,
     #[command(flatten)]
     logging: Logging,
     /// End with the process of this id, however it ends
@@ -114,6 +118,7 @@ impl Serve {
             drain_limit: self.drain_limit,
             metrics: self.metrics,
             failures: failures(self.failures),
+            view: self.view,
             follow: self.private.or(self.follow),
             linger: self.private.map(|_| LINGER),
             ..defaults
@@ -149,13 +154,16 @@ fn failures(given: Option<PathBuf>) -> Option<PathBuf> {
 /// Says that clients may come, and how.
 fn announce(config: &ServerConfig, tasks: usize) {
     let name = &config.name;
+    // Which port is free, the log says.
+    let view = config.view.filter(|address| address.port() > 0);
+    let view = view.map_or(String::new(), |address| format!("  browser http://{address}/\n"));
     eprintln!(
         "\
 Server {name} is ready: {tasks} tasks, {threads} threads, process {pid}.
   Python  gym.make(\"trocar/NeedleReach-v0\", server=\"{name}\")
   Rust    Client::connect(\"{name}\")
   shell   trocar status --name {name} --watch
-Ctrl-C or `trocar stop --name {name}` ends it.",
+{view}Ctrl-C or `trocar stop --name {name}` ends it.",
         threads = config.threads,
         pid = std::process::id(),
     );

@@ -188,6 +188,12 @@ impl Mesh {
         x.iter().zip(y).zip(z).map(|((x, y), z)| Point3::new(*x, *y, *z))
     }
 
+    /// The unit normals of its vertices.
+    pub fn normals(&self) -> impl Iterator<Item = Vector3<f32>> {
+        let [x, y, z] = &self.normals;
+        x.iter().zip(y).zip(z).map(|((x, y), z)| Vector3::new(*x, *y, *z))
+    }
+
     /// Its triangles: numbers of vertices, counter-clockwise from outside.
     pub fn triangles(&self) -> &[[u32; 3]] {
         &self.triangles

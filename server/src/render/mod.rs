@@ -25,7 +25,7 @@ pub mod software;
 
 pub use camera::{Camera, Intrinsics, Viewpoint};
 pub use picture::{Canvas, Picture};
-pub use scene::{Lens, Scene};
+pub use scene::{Jaws, Lens, Scene};
 pub use software::Software;
 
 /// What draws pictures.

@@ -67,11 +67,26 @@ impl Default for Light {
     }
 }
 
+/// The state of an arm's jaws, for whoever shows it in numbers.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Jaws {
+    /// The arm, as its bodies' names begin: `psm1` or `psm2`.
+    pub arm: &'static str,
+    /// Opening between the fingers, rad.
+    pub opening: f64,
+    /// Opening that is asked for, rad: less where something is between the fingers.
+    pub asked: f64,
+    /// How hard everything together presses on each finger, N.
+    pub pressures: [f64; 2],
+}
+
 /// What there is to see at one moment.
 #[derive(Debug, Clone)]
 pub struct Scene {
     instances: Vec<Instance>,
     bodies: Vec<Cow<'static, str>>,
+    /// Of the arms that have jaws, in the order in which they are drawn.
+    pub jaws: Vec<Jaws>,
     /// The lights.
     pub light: Light,
     /// Red, green, blue of where nothing is; linear.
@@ -89,6 +104,7 @@ impl Default for Scene {
         Self {
             instances: Vec::with_capacity(64),
             bodies: Vec::with_capacity(32),
+            jaws: Vec::new(),
             light: Light::default(),
             background: [0.72, 0.76, 0.80],
             stage: Aabb::new([-0.5; 3], [0.5; 3]),

@@ -125,6 +125,14 @@ impl Batch {
         &self.envs[0]
     }
 
+    /// One of the session's.
+    ///
+    /// # Panics
+    /// Where there is none of that number.
+    pub(crate) fn env(&self, number: u32) -> &Env {
+        &self.envs[number as usize]
+    }
+
     /// Carries out `deed` for the environments `env_ids` and writes their rows. Either all of it
     /// is carried out, or none and the refusal says why.
     pub(crate) fn apply(

@@ -13,6 +13,7 @@ use trocar_proto::{Code, Rejection};
 
 use super::desk::{Answer, Desk, Footprint, Holding, Quota, Usage};
 use super::exporter::Exporter;
+use super::gallery::Gallery;
 use super::lease::{self, Census, Watch};
 use super::meter::Meter;
 use super::ports::{self, ControlPorts, Request};
@@ -22,6 +23,8 @@ use super::store::Ledger;
 use super::witness::Failures;
 use super::{ServeError, ServerConfig, StopSignal};
 use crate::tasks::Registry;
+use crate::view::View;
+use crate::view::source::About;
 
 /// Serves until asked to stop.
 pub(super) fn run(
@@ -43,8 +46,14 @@ pub(super) fn run(
             .map_err(|source| ServeError::Metrics { address, source })
     });
     let exporter = exporter.transpose()?;
+    let desk = Desk::new(Arc::clone(&registry), config, epoch);
+    let gallery = config.view.map(|_| Arc::new(Gallery::new(about(&desk))));
+    let view = config.view.zip(gallery.clone()).map(|(address, gallery)| {
+        View::start(address, gallery).map_err(|source| ServeError::View { address, source })
+    });
+    let view = view.transpose()?;
     let mut host = Host {
-        desk: Desk::new(Arc::clone(&registry), config, epoch),
+        desk,
         ledger: Arc::new(Ledger::new(config.memory_bytes)),
         scheduler,
         quota: config.client,
@@ -57,6 +66,7 @@ pub(super) fn run(
             epoch,
             idle_limit: config.idle_limit,
             failures: config.failures.clone().map(Failures::new),
+            gallery,
         }),
         sessions: BTreeMap::new(),
         ending: Vec::new(),
@@ -67,9 +77,10 @@ pub(super) fn run(
     let mut watch = Watch::new(config);
     let mut looked = Instant::now();
     ready();
-    let metrics = exporter.as_ref().map(|exporter| exporter.address);
+    let metrics = exporter.as_ref().map(|exporter| tracing::field::display(exporter.address));
+    let seen = view.as_ref().map(|view| tracing::field::display(view.address()));
     let (name, pid, threads) = (&config.name, std::process::id(), config.threads);
-    tracing::info!(%name, pid, threads, metrics = metrics.map(tracing::field::display), "serving");
+    tracing::info!(%name, pid, threads, metrics, view = seen, "serving");
     while !stop.is_set() {
         host.answer_waiting(&port);
         if looked.elapsed() >= lease::INTERVAL {
@@ -91,6 +102,12 @@ pub(super) fn run(
     }
     host.drain(&port, &bell, config.drain_limit);
     Ok(())
+}
+
+/// The server, as its viewer names it.
+fn about(desk: &Desk) -> About {
+    let info = desk.info();
+    About { name: info.name.clone(), pid: info.pid, version: env!("CARGO_PKG_VERSION") }
 }
 
 /// The sessions, and what is needed to open more.

@@ -6,6 +6,7 @@
 //! | `control.rs` | the control loop: rare messages, opening and closing sessions |
 //! | `desk.rs` | what a control message means, without any transport |
 //! | `meter.rs`, `exporter.rs` | what is counted, and Prometheus, who asks for it |
+//! | `gallery.rs` | sessions as the viewer sees them |
 //! | `lease.rs` | who is alive: reclaims what dead clients leave |
 //! | `session.rs` | one thread per session: waits for requests, answers them |
 //! | `batch.rs` | the environments of a session: reset, step, autoreset |
@@ -25,6 +26,7 @@ mod control;
 mod cpus;
 mod desk;
 mod exporter;
+mod gallery;
 mod lease;
 mod meter;
 mod pile;
@@ -78,6 +80,8 @@ pub struct ServerConfig {
     pub drain_limit: Duration,
     /// Where Prometheus may ask for metrics over HTTP; port 0 is one that is free.
     pub metrics: Option<SocketAddr>,
+    /// Where the live viewer is served over HTTP; port 0 is one that is free.
+    pub view: Option<SocketAddr>,
     /// The process whose end ends the server.
     pub follow: Option<u32>,
     /// How long the server outlives its last client; for ever if `None`.
@@ -99,6 +103,7 @@ impl ServerConfig {
             idle_limit: Duration::from_hours(1),
             drain_limit: Duration::from_secs(5),
             metrics: None,
+            view: None,
             follow: None,
             linger: None,
             failures: None,
@@ -157,6 +162,14 @@ pub enum ServeError {
     /// Nobody can listen where metrics were to be had.
     #[error("--metrics {address}: {source}")]
     Metrics {
+        /// Where that was.
+        address: SocketAddr,
+        /// What failed.
+        source: io::Error,
+    },
+    /// Nobody can listen where the viewer was to be had.
+    #[error("--view {address}: {source}")]
+    View {
         /// Where that was.
         address: SocketAddr,
         /// What failed.

@@ -10,6 +10,7 @@ use std::time::{Duration, Instant};
 use trocar_proto::bell::{Bells, Woken};
 use trocar_proto::vigil::Vigil;
 
+use super::gallery::{Exhibit, Gallery};
 use super::scheduler::Scheduler;
 use super::session::{Ground, Next, Session, Shared};
 use super::turns::Guest;
@@ -62,8 +63,10 @@ impl Seat {
         self.ground.meter.opened();
         let guest: Arc<dyn Guest> = Arc::<Self>::clone(&self);
         let place = Place { scheduler: &self.scheduler, guest: &guest };
+        let show = |gallery: &Arc<Gallery>| gallery.exhibit(id, Arc::clone(&self.shared));
+        let exhibit: Option<Exhibit> = self.ground.gallery.as_ref().map(show);
         self.answer_all(&guest);
-        drop(place);
+        drop((exhibit, place));
         // Whoever answers in its place comes to an end first.
         let session = self.session.lock().unwrap_or_else(PoisonError::into_inner).take();
         let steps = session.map_or(0, |session| session.steps);
@@ -108,6 +111,9 @@ impl Seat {
             if self.shared.idle() > self.ground.idle_limit {
                 break;
             }
+            if self.shared.slot().is_watched() && self.claim() {
+                self.show();
+            }
             self.scheduler.retire(own);
             if !self.is_wanted() {
                 late = self.bells.request().wait(seen, SLICE) == Woken::Late;
@@ -140,6 +146,16 @@ impl Seat {
         drop(place);
         self.claimed.store(false, Ordering::SeqCst);
         next
+    }
+
+    /// Shows the environments to whoever watches them, by who has claimed it.
+    fn show(&self) {
+        let place = self.session.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(session) = &*place {
+            session.show();
+        }
+        drop(place);
+        self.claimed.store(false, Ordering::SeqCst);
     }
 
     fn is_claimed(&self) -> bool {

@@ -19,6 +19,7 @@ use trocar_proto::{Code, Rejection};
 
 use super::batch::{self, Batch, Deed};
 use super::desk::{self, Footprint};
+use super::gallery::{Gallery, Slot};
 use super::internal;
 use super::meter::{Meter, TaskMeter};
 use super::ports::{self, DataPorts, Request};
@@ -29,6 +30,7 @@ use super::store::{Ledger, Saved, Store};
 use super::witness::{Failures, Tape, Witness};
 use crate::env::{Env, Imaging, Rebuild};
 use crate::tasks::Registry;
+use crate::view::source::{SessionCard, Tally};
 
 /// What all sessions of a server share.
 pub(super) struct Ground {
@@ -40,6 +42,8 @@ pub(super) struct Ground {
     pub(super) idle_limit: Duration,
     /// Where failures are recorded, if they are.
     pub(super) failures: Option<Failures>,
+    /// Where sessions show themselves, if anybody may look.
+    pub(super) gallery: Option<Arc<Gallery>>,
 }
 
 /// What all sessions of a client have together.
@@ -58,6 +62,7 @@ pub(super) struct SessionHandle {
     footprint: Footprint,
 }
 
+/// What a session's thread has together with whoever asks about it.
 pub(super) struct Shared {
     pub(super) id: u64,
     pub(super) client: ClientInfo,
@@ -72,12 +77,54 @@ pub(super) struct Shared {
     /// `None` until the session is open.
     store: Mutex<Option<Store>>,
     tape: Tape,
+    /// What the task is like; nothing until the session is open.
+    nature: OnceLock<Nature>,
+    slot: Slot,
+}
+
+/// What the viewer shows of a task.
+#[derive(Debug)]
+struct Nature {
+    max_steps: u32,
+    seconds_per_step: f64,
+    has_goal: bool,
 }
 
 impl Shared {
     /// Time since a request was answered.
     pub(super) fn idle(&self) -> Duration {
         self.pace.lock().unwrap_or_else(PoisonError::into_inner).latest.elapsed()
+    }
+
+    /// Its environments.
+    pub(super) fn envs(&self) -> u32 {
+        self.envs
+    }
+
+    /// Where it is watched.
+    pub(super) fn slot(&self) -> &Slot {
+        &self.slot
+    }
+
+    /// The session in the viewer's list.
+    pub(super) fn card(&self) -> SessionCard {
+        let nature = self.nature.get();
+        let pace = self.pace.lock().unwrap_or_else(PoisonError::into_inner);
+        let success_rate = pace.tally.success_rate();
+        SessionCard {
+            id: self.id,
+            pid: self.client.pid,
+            language: self.client.language.clone(),
+            task: self.task.clone(),
+            envs: self.envs,
+            max_steps: nature.map_or(0, |nature| nature.max_steps),
+            seconds_per_step: nature.map_or(0.0, |nature| nature.seconds_per_step),
+            steps_per_second: pace.steps_per_second(),
+            p50_us: pace.latency.value_at_quantile(0.5) as f64,
+            p99_us: pace.latency.value_at_quantile(0.99) as f64,
+            episodes: pace.tally.episodes(),
+            success_rate: success_rate.filter(|_| nature.is_some_and(|nature| nature.has_goal)),
+        }
     }
 
     /// Does something with the session's snapshots.
@@ -103,6 +150,8 @@ struct Pace {
     window_start: Instant,
     window_steps: u64,
     steps_per_second: f64,
+    /// How episodes ended, where anybody may look.
+    tally: Tally,
 }
 
 /// Counts a session that is refused, and says so in the log.
@@ -134,6 +183,8 @@ pub(super) fn open(
         pace: Mutex::new(Pace::new()),
         store: Mutex::new(None),
         tape: Tape::default(),
+        nature: OnceLock::new(),
+        slot: Slot::default(),
     });
     let meter = Arc::clone(&ground.meter);
     // If the thread cannot be started, the request goes back with it and the client is told.
@@ -329,6 +380,11 @@ impl Session {
             view: view.as_ref().map(|(imaging, _)| Box::new(imaging.spec().clone())),
         };
         let most = view.as_ref().map_or(0, |(_, layout)| layout.bytes).max(reply_layout.bytes);
+        shared.nature.get_or_init(|| Nature {
+            max_steps: spec.max_steps,
+            seconds_per_step: spec.seconds_per_step,
+            has_goal: spec.goal.is_some(),
+        });
         let store = Store::new(account.ledger, batch.like().identity());
         *shared.store.lock().unwrap_or_else(PoisonError::into_inner) = Some(store);
         // Starts may have taken long, and nothing may be put where the server has cleared away.
@@ -390,6 +446,11 @@ impl Session {
         Next::Answered
     }
 
+    /// Shows its environments to whoever watches them.
+    pub(super) fn show(&self) {
+        self.shared.slot.show(&self.batch);
+    }
+
     /// Whether a request is kept for the session's own thread.
     pub(super) fn has_kept(&self) -> bool {
         self.kept.is_some()
@@ -426,9 +487,15 @@ impl Session {
         header.request = asked.request;
         header.flags = asked.flags;
         let result = self.carry_out(&asked, request.payload(), response.payload_mut());
+        let watched = self.shared.slot.is_watched();
         let steps = match result {
             Ok(()) => {
                 header.rows = asked.rows;
+                if watched && asked.kind != kind::RENDER {
+                    let env_ids = &self.inbox.env_ids[..asked.rows as usize];
+                    let (layout, reply) = (&self.reply_layout, response.payload());
+                    self.shared.slot.note(asked.kind, env_ids, layout, reply);
+                }
                 self.count(&asked, response.payload(), start.elapsed())
             }
             Err(refusal) => {
@@ -444,6 +511,10 @@ impl Session {
             tracing::debug!(session = self.shared.id, ?error, "a reply was not delivered");
         }
         self.ports.bells.reply().ring();
+        // Its client goes on meanwhile.
+        if watched {
+            self.shared.slot.show(&self.batch);
+        }
         steps
     }
 
@@ -462,10 +533,28 @@ impl Session {
         if asked.kind == kind::RESET {
             return 0;
         }
+        if self.ground.gallery.is_some() {
+            self.tally(reply, rows);
+        }
         let steps = rows as u64 - if self.next_step { begun } else { 0 };
         self.meter.steps.inc_by(steps);
         self.meter.stepped(time);
         steps
+    }
+
+    /// Counts the episodes that ended with a step.
+    fn tally(&self, reply: &[u8], rows: usize) {
+        let layout = &self.reply_layout;
+        let terminated: &[u8] = layout.terminated.view(reply, rows);
+        let truncated: &[u8] = layout.truncated.view(reply, rows);
+        let is_success: &[u8] = layout.is_success.view(reply, rows);
+        let any = |flags: &[u8]| flags.iter().fold(0, |any, flag| any | flag) != 0;
+        if any(terminated) || any(truncated) {
+            let mut pace = self.shared.pace.lock().unwrap_or_else(PoisonError::into_inner);
+            for row in (0..rows).filter(|row| terminated[*row] | truncated[*row] != 0) {
+                pace.tally.ended(is_success[row] != 0);
+            }
+        }
     }
 
     /// Does what is asked.
@@ -617,6 +706,7 @@ impl Pace {
             window_start: Instant::now(),
             window_steps: 0,
             steps_per_second: 0.0,
+            tally: Tally::default(),
         }
     }
 

@@ -210,6 +210,14 @@ impl Instrument {
         self.finger_bodies().iter().filter(|finger| world.touch(**finger, object)).count()
     }
 
+    /// How hard everything together pressed on each finger in the last substep, N.
+    pub fn pressures(&self, world: &World) -> [f64; 2] {
+        if self.stale {
+            return [0.0; 2];
+        }
+        self.finger_bodies().map(|finger| world.pressure(finger))
+    }
+
     /// Whether `object` is tied to the wrist.
     pub fn is_tied_to(&self, object: BodyId) -> bool {
         self.tied.is_some_and(|(tied, _)| tied == object)

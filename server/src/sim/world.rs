@@ -22,7 +22,7 @@ mod inertia;
 mod tests;
 mod tie;
 
-pub use contact::{Overlap, Push};
+pub use contact::{Contact, Overlap, Push};
 pub use hinge::{Hinge, HingedId};
 pub use inertia::Inertia;
 pub use tie::TieId;

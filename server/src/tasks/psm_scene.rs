@@ -26,8 +26,8 @@ use trocar_proto::spec::{Element, RowSpec};
 use trocar_proto::{Options, Rejection};
 
 use super::options::{self, ActionMode, Preset, Range};
-use crate::render::Scene;
 use crate::render::skeleton::Skeleton;
+use crate::render::{Jaws, Scene};
 use crate::robots::Psm;
 use crate::sim::frames::{self, Aabb, Pose};
 use crate::sim::grasp::Grasp;
@@ -317,6 +317,12 @@ impl PsmArm {
             _ => None,
         };
         let name = ["psm1", "psm2"][self.index];
+        scene.jaws.push(Jaws {
+            arm: name,
+            opening: self.opening(world),
+            asked: self.instrument.posture().jaw,
+            pressures: self.instrument.pressures(world),
+        });
         Skeleton::psm().draw(scene, name, &self.scene_from_base, joint, elsewhere);
     }
 

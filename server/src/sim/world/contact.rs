@@ -24,6 +24,19 @@ pub struct Push {
     pub crushes: bool,
 }
 
+/// A place where two bodies pressed on each other in the last substep.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Contact {
+    /// Who feels the force: the free object of both, where only one is.
+    pub on: BodyId,
+    /// Who exerts it.
+    pub by: BodyId,
+    /// Where, m.
+    pub point: Point3<f64>,
+    /// The force along the contact's normal, N, world frame; friction is not in it.
+    pub force: Vector3<f64>,
+}
+
 /// How far jaws may press into what they squeeze, m: a needle gives in by a fifth of a millimetre to 1 N.
 const SQUEEZED: f64 = 0.3e-3;
 
@@ -81,6 +94,35 @@ impl World {
         let pairs = parts.flat_map(|part| self.narrow_phase.contact_pairs_with(*part));
         let contacts = pairs.flat_map(ContactPair::manifolds).flat_map(|each| &each.points);
         contacts.map(|contact| newtons * f64::from(contact.data.impulse)).sum()
+    }
+
+    /// Where bodies pressed on each other in the last substep, to look at. What sleeps presses as it did
+    /// when it fell asleep; what was never moved is not known to press on anything.
+    pub fn contacts(&self) -> impl Iterator<Item = Contact> {
+        let newtons = SUBSTEPS_PER_SECOND / (SCALE * SCALE * SCALE);
+        let pairs = self.narrow_phase.contact_pairs();
+        pairs.flat_map(move |pair| {
+            let parts = [pair.collider1, pair.collider2].map(|part| &self.colliders[part]);
+            let owners = parts.map(|part| part.parent().expect("every collider belongs to a body"));
+            let is_free = owners.map(|owner| self.free.contains(&owner));
+            // Normals point from the first collider to the second.
+            let (feels, sign) =
+                if is_free[1] && !is_free[0] { (1, newtons) } else { (0, -newtons) };
+            let manifolds = pair.manifolds().iter();
+            manifolds.flat_map(move |manifold| {
+                let normal = frames::from_engine_vector(manifold.data.normal);
+                let pressing = manifold.points.iter().filter(|point| point.data.impulse > 0.0);
+                pressing.map(move |point| {
+                    let at = parts[0].position().transform_point(point.local_p1);
+                    Contact {
+                        on: BodyId(owners[feels]),
+                        by: BodyId(owners[1 - feels]),
+                        point: frames::from_engine_vector(at).into(),
+                        force: normal * (sign * f64::from(point.data.impulse)),
+                    }
+                })
+            })
+        })
     }
 
     /// Deepest overlap of a free object with anything now, m: how far they would have to move apart.

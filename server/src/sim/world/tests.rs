@@ -47,6 +47,14 @@ fn a_resting_object_weighs_what_it_weighs_and_falls_asleep() {
     }
     let push = world.push_on(&[plate]);
     assert!((push.force.z + 0.01 * GRAVITY).abs() < 0.002, "{push:?}");
+    let contacts: Vec<_> = world.contacts().collect();
+    let weight: Vector3<f64> = contacts.iter().map(|contact| contact.force).sum();
+    assert!((weight + push.force).norm() < 1e-9, "{contacts:?}");
+    for contact in contacts {
+        assert_eq!((contact.on, contact.by), (body, plate));
+        let Point3 { coords, .. } = contact.point;
+        assert!(coords.xy().abs().max() < 1.1e-3 && coords.z.abs() < 1e-4, "{coords}");
+    }
     for _ in 0..140 {
         world.step();
     }

@@ -1,0 +1,402 @@
+//! Sessions as the viewer sees them. Who watches leaves a window at a session's slot; the session's thread,
+//! which owns the environments, looks there after each message and puts into the window what is wanted.
+
+use std::collections::BTreeMap;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError, TryLockError};
+use std::time::{Duration, Instant};
+
+use trocar_proto::wire::{ReplyLayout, kind};
+
+use super::batch::Batch;
+use super::session::Shared;
+use crate::env::Env;
+use crate::view::source::{About, Mark, Moment, Pace, SessionCard, Source, Window};
+
+/// Least time between two moments of the present.
+const PERIOD: Duration = Duration::from_millis(33);
+
+/// A session's thread shows its present for one part in so many of its time, at most.
+const SHARE: u32 = 100;
+
+/// Most steps that are kept until the next moment; of more, only the latest are.
+const MOST_MARKS: usize = 1024;
+
+/// The sessions of a server, for its viewer.
+pub(super) struct Gallery {
+    about: About,
+    sessions: Mutex<BTreeMap<u64, Arc<Shared>>>,
+}
+
+impl Gallery {
+    pub(super) fn new(about: About) -> Self {
+        Self { about, sessions: Mutex::default() }
+    }
+
+    /// Shows a session until the guard is dropped.
+    pub(super) fn exhibit(self: &Arc<Self>, id: u64, session: Arc<Shared>) -> Exhibit {
+        self.lock().insert(id, session);
+        Exhibit { gallery: Arc::clone(self), id }
+    }
+
+    fn lock(&self) -> MutexGuard<'_, BTreeMap<u64, Arc<Shared>>> {
+        // Entries are put in and taken out as one, panic or not.
+        self.sessions.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+impl Source for Gallery {
+    fn about(&self) -> About {
+        self.about.clone()
+    }
+
+    fn sessions(&self) -> Vec<SessionCard> {
+        let sessions: Vec<_> = self.lock().values().cloned().collect();
+        sessions.iter().map(|session| session.card()).collect()
+    }
+
+    fn watch(&self, session: u64, env: u32, window: &Arc<Window>) -> Result<(), String> {
+        let sessions = self.lock();
+        let found = sessions.get(&session);
+        let found = found.ok_or_else(|| format!("there is no session {session}"))?;
+        if env >= found.envs() {
+            let last = found.envs() - 1;
+            return Err(format!("session {session} has no environment {env}; the last is {last}"));
+        }
+        found.slot().open(env, window);
+        Ok(())
+    }
+}
+
+/// A session that can be watched. When it ends, its windows are closed.
+pub(super) struct Exhibit {
+    gallery: Arc<Gallery>,
+    id: u64,
+}
+
+impl Drop for Exhibit {
+    fn drop(&mut self) {
+        // In this order, so that nobody opens a window that stays open.
+        let session = self.gallery.lock().remove(&self.id);
+        if let Some(session) = session {
+            session.slot().close();
+        }
+    }
+}
+
+/// Where windows are left for a session's thread.
+#[derive(Debug, Default)]
+pub(super) struct Slot {
+    /// Whether there is any. All that a session that nobody watches looks at.
+    watched: AtomicBool,
+    taps: Mutex<Vec<Tap>>,
+}
+
+/// A window, and how far it has come.
+#[derive(Debug)]
+struct Tap {
+    env: u32,
+    window: Arc<Window>,
+    /// What has happened since the moment before.
+    marks: Vec<Mark>,
+    /// Nothing was shown yet.
+    is_new: bool,
+    /// The environment is not as it was shown.
+    has_changed: bool,
+    /// An episode began, or a state was restored, with the latest message.
+    has_begun: bool,
+    /// An episode ended with it.
+    has_ended: bool,
+    /// An episode is being shown step by step.
+    follows: bool,
+    /// Time that was spent on it since it was due.
+    spent: Duration,
+    /// Nothing more is shown before.
+    due: Instant,
+}
+
+impl Slot {
+    /// Whether somebody watches.
+    pub(super) fn is_watched(&self) -> bool {
+        self.watched.load(Ordering::Relaxed)
+    }
+
+    fn open(&self, env: u32, window: &Arc<Window>) {
+        let mut taps = self.taps.lock().unwrap_or_else(PoisonError::into_inner);
+        taps.push(Tap {
+            env,
+            window: Arc::clone(window),
+            marks: vec![],
+            is_new: true,
+            has_changed: true,
+            has_begun: false,
+            has_ended: false,
+            follows: false,
+            spent: Duration::ZERO,
+            due: Instant::now(),
+        });
+        self.watched.store(true, Ordering::Relaxed);
+    }
+
+    fn close(&self) {
+        let mut taps = self.taps.lock().unwrap_or_else(PoisonError::into_inner);
+        taps.drain(..).for_each(|tap| tap.window.close());
+    }
+
+    /// The windows, unless somebody is at them just now: a session does not wait for its watchers.
+    fn taps(&self) -> Option<MutexGuard<'_, Vec<Tap>>> {
+        match self.taps.try_lock() {
+            Ok(taps) => Some(taps),
+            Err(TryLockError::Poisoned(poisoned)) => Some(poisoned.into_inner()),
+            Err(TryLockError::WouldBlock) => None,
+        }
+    }
+
+    /// Takes down what a message that was carried out did to the environments that are watched; `env_ids`
+    /// are those of its rows.
+    pub(super) fn note(&self, kind: u32, env_ids: &[u32], layout: &ReplyLayout, reply: &[u8]) {
+        if kind == kind::SNAPSHOT {
+            return;
+        }
+        let (Some(mut taps), rows) = (self.taps(), env_ids.len()) else { return };
+        for tap in &mut *taps {
+            let Ok(row) = env_ids.binary_search(&tap.env) else { continue };
+            let flag = |flags: &[u8]| flags[row] != 0;
+            let ended = flag(layout.terminated.view(reply, rows))
+                || flag(layout.truncated.view(reply, rows));
+            let steps = layout.steps.view::<u32>(reply, rows)[row];
+            if tap.marks.len() == MOST_MARKS {
+                tap.marks.remove(0);
+            }
+            tap.marks.push(Mark {
+                // Where autoreset replaced the episode that ended, the row is of the next one.
+                is_step: kind == kind::STEP && (steps > 0 || ended),
+                reward: layout.reward.view::<f32>(reply, rows)[row],
+                ended,
+                is_success: flag(layout.is_success.view(reply, rows)),
+            });
+            (tap.has_changed, tap.has_ended) = (true, ended);
+            tap.has_begun = kind != kind::STEP || steps == 0;
+        }
+    }
+
+    /// Puts into the windows what is wanted and due.
+    pub(super) fn show(&self, batch: &Batch) {
+        let Some(mut taps) = self.taps() else { return };
+        taps.retain(|tap| !tap.window.is_closed());
+        if taps.is_empty() {
+            self.watched.store(false, Ordering::Relaxed);
+        }
+        let share = SHARE * taps.len() as u32;
+        for tap in &mut *taps {
+            let env = batch.env(tap.env);
+            if tap.has_changed && env.was_reset() {
+                tap.has_changed = false;
+                match tap.window.pace() {
+                    Pace::Live => tap.show_present(env, share),
+                    Pace::Episodes => tap.show_episode(env, share),
+                }
+                tap.is_new = false;
+            }
+        }
+    }
+}
+
+impl Tap {
+    fn show_present(&mut self, env: &Env, share: u32) {
+        if self.window.is_wanted() && Instant::now() >= self.due && self.put(env) {
+            self.rest(share);
+        } else {
+            self.has_changed = true;
+        }
+    }
+
+    /// Goes on with an episode, or begins one. What is watched anew is shown at once.
+    fn show_episode(&mut self, env: &Env, share: u32) {
+        let is_due = || self.window.is_wanted() && Instant::now() >= self.due;
+        let begins = !self.follows && self.has_begun && is_due();
+        if begins {
+            let keep = self.marks.len().saturating_sub(1);
+            self.marks.drain(..keep);
+            self.follows = true;
+        }
+        if !self.follows && !self.is_new {
+            self.marks.clear();
+            return;
+        }
+        if !self.put(env) {
+            self.follows = false;
+        }
+        // Autoreset may replace an episode by the next one with its last step.
+        if self.follows && (self.has_ended || self.has_begun) && !begins {
+            self.follows = false;
+            self.rest(share);
+        }
+    }
+
+    /// Puts the environment as it is into the window; false where that could not be.
+    fn put(&mut self, env: &Env) -> bool {
+        let start = Instant::now();
+        let moment = Moment {
+            scene: env.scene(),
+            contacts: env.world().contacts().collect(),
+            seed: env.seed(),
+            episode: env.episode(),
+            steps: env.steps(),
+            stage: env.stage(),
+            marks: std::mem::take(&mut self.marks),
+        };
+        let is_put = self.window.put(moment);
+        self.spent += start.elapsed();
+        is_put
+    }
+
+    /// What was wanted is there. Pauses for so many times as long as it took.
+    fn rest(&mut self, share: u32) {
+        self.window.fulfil();
+        self.due = Instant::now() + (share * std::mem::take(&mut self.spent)).max(PERIOD);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use trocar_proto::control::{Autoreset, SessionRequest};
+
+    use super::super::witness::{Tape, Witness};
+    use super::*;
+    use crate::service::batch::Deed;
+    use crate::service::rows::Rows;
+    use crate::service::scheduler::Scheduler;
+    use crate::tasks::Registry;
+
+    /// A session's environments and the slot at which they are watched.
+    struct Stage {
+        batch: Batch,
+        layout: ReplyLayout,
+        reply: Vec<u64>,
+        scheduler: Scheduler,
+        slot: Slot,
+    }
+
+    impl Stage {
+        fn new(autoreset: Autoreset) -> Self {
+            let request = SessionRequest::new("EcmReach-v0").envs(3).autoreset(autoreset);
+            let batch = Batch::new(&Registry::builtin(), &request).unwrap();
+            let layout = ReplyLayout::new(3, batch.spec());
+            let reply = vec![0; layout.bytes / 8];
+            let scheduler = Scheduler::new(1).unwrap();
+            Self { batch, layout, reply, scheduler, slot: Slot::default() }
+        }
+
+        fn apply(&mut self, kind: u32, deed: Deed<'_>, env_ids: &[u32]) {
+            let reply = bytemuck::cast_slice_mut(&mut self.reply);
+            let rows = Rows::of(&self.layout, reply, env_ids.len());
+            let witness = Witness { failures: None, tape: &Tape::default() };
+            self.batch.apply(deed, env_ids, false, witness, rows, &self.scheduler).unwrap();
+            self.slot.note(kind, env_ids, &self.layout, bytemuck::cast_slice(&self.reply));
+            self.slot.show(&self.batch);
+        }
+
+        fn reset(&mut self) {
+            self.apply(kind::RESET, Deed::Reset(None), &[0, 1, 2]);
+        }
+
+        fn step(&mut self, env_ids: &[u32]) {
+            self.apply(kind::STEP, Deed::Step(&vec![0.5; 3 * env_ids.len()]), env_ids);
+        }
+    }
+
+    fn taken(window: &Window) -> Vec<Moment> {
+        window.close();
+        let runtime = tokio::runtime::Builder::new_current_thread().build().unwrap();
+        runtime.block_on(async {
+            let mut moments = vec![];
+            while let Some(moment) = window.next().await {
+                moments.push(moment);
+            }
+            moments
+        })
+    }
+
+    #[test]
+    fn one_moment_is_shown_for_each_that_is_wanted_and_no_step_is_missed() {
+        let mut stage = Stage::new(Autoreset::NextStep);
+        let window = Window::new(Pace::Live);
+        stage.slot.open(1, &window);
+        stage.slot.show(&stage.batch); // never reset: nothing to see
+        window.ask();
+        stage.reset();
+        for _ in 0..7 {
+            stage.step(&[0, 1, 2]);
+        }
+        stage.step(&[0, 2]);
+        std::thread::sleep(PERIOD);
+        stage.slot.show(&stage.batch); // not wanted yet
+        window.ask();
+        // However long it takes until this one is due.
+        while window.is_wanted() {
+            stage.slot.show(&stage.batch);
+        }
+        let moments = taken(&window);
+        assert_eq!(moments.iter().map(|each| each.steps).collect::<Vec<_>>(), [0, 7]);
+        let [first, second] = [0, 1].map(|index| &moments[index].marks);
+        assert!(first.len() == 1 && !first[0].is_step);
+        assert!(second.len() == 7 && second.iter().all(|mark| mark.is_step && !mark.ended));
+        assert_eq!((moments[0].seed, moments[0].episode), (1, 0));
+        // A window that was closed is forgotten, and then nobody watches.
+        assert!(stage.slot.is_watched());
+        stage.step(&[0, 1, 2]);
+        assert!(!stage.slot.is_watched());
+    }
+
+    #[test]
+    fn an_episode_is_shown_from_its_beginning_to_its_end() {
+        for autoreset in [Autoreset::NextStep, Autoreset::SameStep] {
+            let mut stage = Stage::new(autoreset);
+            stage.reset();
+            stage.step(&[0, 1, 2]);
+            let window = Window::new(Pace::Episodes);
+            stage.slot.open(2, &window);
+            window.ask();
+            // The present at once, then the next whole episode, then nothing that is not wanted.
+            for _ in 0..160 {
+                stage.step(&[0, 1, 2]);
+            }
+            assert!(!window.is_wanted());
+            let moments = taken(&window);
+            let mut expected = vec![2];
+            expected.extend(0..50);
+            expected.push(if autoreset == Autoreset::NextStep { 50 } else { 0 });
+            let steps: Vec<_> = moments.iter().map(|each| each.steps).collect();
+            assert_eq!(steps, expected, "{autoreset:?}");
+            assert!(moments.iter().skip(1).take(50).all(|each| each.episode == 1));
+            assert!(moments.iter().all(|each| each.marks.len() == 1));
+            let ends = moments.iter().filter(|each| each.marks[0].ended).count();
+            assert!(ends == 1 + usize::from(autoreset == Autoreset::SameStep) || ends == 1);
+            assert!(moments.last().unwrap().marks[0].ended);
+        }
+    }
+
+    #[test]
+    fn a_session_does_not_wait_for_who_is_at_its_windows() {
+        let mut stage = Stage::new(Autoreset::NextStep);
+        let window = Window::new(Pace::Live);
+        stage.slot.open(0, &window);
+        window.ask();
+        let slot = std::mem::take(&mut stage.slot);
+        let busy = slot.taps.lock().unwrap();
+        slot.note(kind::STEP, &[0], &stage.layout, bytemuck::cast_slice(&stage.reply));
+        slot.show(&stage.batch);
+        drop(busy);
+        assert!(window.is_wanted() && taken(&window).is_empty());
+    }
+
+    #[test]
+    fn a_session_that_ends_closes_its_windows() {
+        let slot = Slot::default();
+        let window = Window::new(Pace::Live);
+        slot.open(0, &window);
+        slot.close();
+        assert!(window.is_closed());
+    }
+}

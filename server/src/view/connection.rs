@@ -1,0 +1,241 @@
+//! One page that is connected: what it asks for, and what it is sent.
+
+use std::convert::Infallible;
+use std::sync::Arc;
+use std::time::Duration;
+
+use axum::extract::ws::{CloseFrame, Message as Frame, WebSocket, close_code};
+use tokio::sync::{oneshot, watch};
+use tokio::time::{Instant, Interval, MissedTickBehavior, interval, timeout};
+
+use super::message::{self, Command, Message, Notice, Teller};
+use super::painter::Painter;
+use super::source::{Moment, Pace, Source, Window};
+
+/// How often the list of sessions is sent.
+const LIST: Duration = Duration::from_secs(1);
+
+/// Least time between two pictures of the endoscope. It is also at least [`SHARE`] times what one took.
+const PICTURE: Duration = Duration::from_millis(100);
+
+/// The painter draws for a page for one part in so many of the time.
+const SHARE: u32 = 10;
+
+/// Whoever takes nothing for so long is not there any more.
+const PATIENCE: Duration = Duration::from_secs(30);
+
+/// Serves a page until it goes or `ending` says that the server does.
+pub(super) async fn serve(
+    socket: WebSocket,
+    source: Arc<dyn Source>,
+    painter: Painter,
+    mut ending: watch::Receiver<bool>,
+) {
+    let mut list = interval(LIST);
+    list.set_missed_tick_behavior(MissedTickBehavior::Delay);
+    let mut page = Page {
+        socket,
+        source,
+        painter,
+        list,
+        teller: Teller::default(),
+        watching: None,
+        paused: false,
+    };
+    let server_ends = async { drop(ending.wait_for(|ends| *ends).await) };
+    let over = tokio::select! {
+        over = page.run() => Some(over),
+        () = server_ends => None,
+    };
+    let code = match over {
+        Some(Over(code)) => code,
+        None => match page.say(&Notice::Bye).await {
+            Ok(()) => Some(close_code::AWAY),
+            Err(Over(code)) => code,
+        },
+    };
+    if let Some(code) = code {
+        let close = Frame::Close(Some(CloseFrame { code, reason: "".into() }));
+        timeout(PATIENCE, page.socket.send(close)).await.ok();
+    }
+}
+
+/// The connection is over; with a code to close it with where it still stands.
+struct Over(Option<u16>);
+
+struct Page {
+    socket: WebSocket,
+    source: Arc<dyn Source>,
+    painter: Painter,
+    list: Interval,
+    teller: Teller,
+    watching: Option<Watching>,
+    paused: bool,
+}
+
+/// An environment that is watched. Its window closes with it.
+struct Watching {
+    session: u64,
+    env: u32,
+    window: Arc<Window>,
+    picture: Picture,
+}
+
+impl Drop for Watching {
+    fn drop(&mut self) {
+        self.window.close();
+    }
+}
+
+/// The endoscope's picture.
+enum Picture {
+    /// None is drawn now; the next one from this moment on.
+    NotBefore(Instant),
+    /// One is being drawn since then.
+    Ordered(Instant, oneshot::Receiver<Vec<u8>>),
+}
+
+/// What a page waits for.
+enum Event {
+    Asked(Option<Result<Frame, axum::Error>>),
+    List,
+    Moment(Option<Moment>),
+    Picture(Option<Vec<u8>>),
+}
+
+impl Page {
+    async fn run(&mut self) -> Over {
+        let Err(over) = self.converse().await;
+        over
+    }
+
+    async fn converse(&mut self) -> Result<Infallible, Over> {
+        self.say(&Notice::Hello { about: &self.source.about() }).await?;
+        loop {
+            let event = tokio::select! {
+                asked = self.socket.recv() => Event::Asked(asked),
+                _ = self.list.tick() => Event::List,
+                event = next(&mut self.watching) => event,
+            };
+            match event {
+                Event::Asked(Some(Ok(Frame::Text(text)))) => self.obey(text.as_str()).await?,
+                Event::Asked(Some(Ok(Frame::Binary(_)))) => {
+                    self.refuse("commands are text").await?
+                }
+                Event::Asked(Some(Ok(Frame::Ping(_) | Frame::Pong(_)))) => {}
+                Event::Asked(Some(Err(_))) => return Err(Over(Some(close_code::PROTOCOL))),
+                Event::Asked(None | Some(Ok(Frame::Close(_)))) => return Err(Over(None)),
+                Event::List => {
+                    let list = self.source.sessions();
+                    self.say(&Notice::Sessions { list: &list }).await?;
+                }
+                Event::Moment(moment) => self.show(moment).await?,
+                Event::Picture(png) => self.show_picture(png).await?,
+            }
+        }
+    }
+
+    async fn obey(&mut self, text: &str) -> Result<(), Over> {
+        match message::parse(text) {
+            Ok(Command::Watch { session, env, pace }) => {
+                self.watching = None;
+                self.teller.turn_away();
+                let window = Window::new(pace);
+                if let Err(why) = self.source.watch(session, env, &window) {
+                    return self.refuse(&why).await;
+                }
+                if !self.paused {
+                    window.ask();
+                }
+                let picture = Picture::NotBefore(Instant::now());
+                self.watching = Some(Watching { session, env, window, picture });
+            }
+            Ok(Command::Leave) => self.watching = None,
+            Ok(Command::More) => self.ask(),
+            Ok(Command::Pause(paused)) => {
+                self.paused = paused;
+                self.ask();
+            }
+            Err(why) => return self.refuse(&why).await,
+        }
+        Ok(())
+    }
+
+    /// Asks for the next moment or episode.
+    fn ask(&self) {
+        if let Some(watching) = self.watching.as_ref().filter(|_| !self.paused) {
+            watching.window.ask();
+        }
+    }
+
+    /// Sends a moment, and asks for the next one only when that is out.
+    async fn show(&mut self, moment: Option<Moment>) -> Result<(), Over> {
+        let Some(watching) = &mut self.watching else { return Ok(()) };
+        let Some(moment) = moment else {
+            let session = watching.session;
+            self.watching = None;
+            return self.say(&Notice::Gone { session }).await;
+        };
+        let (messages, scene) = self.teller.tell(watching.session, watching.env, moment);
+        let pace = watching.window.pace();
+        let is_due = matches!(watching.picture, Picture::NotBefore(due) if due <= Instant::now());
+        if is_due && scene.endoscope.is_some() {
+            watching.picture = Picture::Ordered(Instant::now(), self.painter.order(scene));
+        }
+        for message in messages {
+            self.send(match message {
+                Message::Text(text) => Frame::Text(text.into()),
+                Message::Bytes(bytes) => Frame::Binary(bytes.into()),
+            })
+            .await?;
+        }
+        // Episodes are asked for by the page, which plays them.
+        if pace == Pace::Live {
+            self.ask();
+        }
+        Ok(())
+    }
+
+    async fn show_picture(&mut self, png: Option<Vec<u8>>) -> Result<(), Over> {
+        let Some(watching) = &mut self.watching else { return Ok(()) };
+        let now = Instant::now();
+        if let Picture::Ordered(since, _) = watching.picture {
+            let pause = (SHARE * (now - since)).max(PICTURE);
+            watching.picture = Picture::NotBefore(since + pause);
+        }
+        let (session, env) = (watching.session, watching.env);
+        match png {
+            Some(png) => {
+                self.send(Frame::Binary(message::picture(session, env, &png).into())).await
+            }
+            None => Ok(()),
+        }
+    }
+
+    async fn refuse(&mut self, why: &str) -> Result<(), Over> {
+        self.say(&Notice::Error { message: why }).await
+    }
+
+    async fn say(&mut self, notice: &Notice<'_>) -> Result<(), Over> {
+        self.send(Frame::Text(notice.text().into())).await
+    }
+
+    async fn send(&mut self, frame: Frame) -> Result<(), Over> {
+        match timeout(PATIENCE, self.socket.send(frame)).await {
+            Ok(Ok(())) => Ok(()),
+            Ok(Err(_)) | Err(_) => Err(Over(None)),
+        }
+    }
+}
+
+/// The next thing that is to be shown.
+async fn next(watching: &mut Option<Watching>) -> Event {
+    let Some(Watching { window, picture, .. }) = watching else {
+        return std::future::pending().await;
+    };
+    let Picture::Ordered(_, answer) = picture else { return Event::Moment(window.next().await) };
+    tokio::select! {
+        moment = window.next() => Event::Moment(moment),
+        png = answer => Event::Picture(png.ok()),
+    }
+}

@@ -1,0 +1,157 @@
+//! How many may be connected, and from where.
+
+use std::io;
+use std::net::{IpAddr, SocketAddr};
+use std::pin::Pin;
+use std::sync::Arc;
+use std::task::{Context, Poll};
+
+use axum::http::{HeaderMap, HeaderName, header};
+use axum::serve::Listener;
+use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
+use tokio::net::{TcpListener, TcpStream};
+use tokio::sync::{OwnedSemaphorePermit, Semaphore};
+
+/// Lets so many connections in at a time; the others wait outside.
+pub(super) struct Door {
+    listener: TcpListener,
+    places: Arc<Semaphore>,
+}
+
+impl Door {
+    pub(super) fn new(listener: TcpListener, places: usize) -> Self {
+        Self { listener, places: Arc::new(Semaphore::new(places)) }
+    }
+}
+
+impl Listener for Door {
+    type Io = Connection;
+    type Addr = SocketAddr;
+
+    async fn accept(&mut self) -> (Connection, SocketAddr) {
+        let place = Arc::clone(&self.places).acquire_owned().await.expect("it is never closed");
+        let (stream, address) = Listener::accept(&mut self.listener).await;
+        // Frames are small and each is worth sending at once.
+        stream.set_nodelay(true).ok();
+        (Connection { stream, _place: place }, address)
+    }
+
+    fn local_addr(&self) -> io::Result<SocketAddr> {
+        self.listener.local_addr()
+    }
+}
+
+/// A connection, with the place that it takes.
+pub(super) struct Connection {
+    stream: TcpStream,
+    _place: OwnedSemaphorePermit,
+}
+
+impl AsyncRead for Connection {
+    fn poll_read(
+        mut self: Pin<&mut Self>,
+        context: &mut Context<'_>,
+        buffer: &mut ReadBuf<'_>,
+    ) -> Poll<io::Result<()>> {
+        Pin::new(&mut self.stream).poll_read(context, buffer)
+    }
+}
+
+impl AsyncWrite for Connection {
+    fn poll_write(
+        mut self: Pin<&mut Self>,
+        context: &mut Context<'_>,
+        bytes: &[u8],
+    ) -> Poll<io::Result<usize>> {
+        Pin::new(&mut self.stream).poll_write(context, bytes)
+    }
+
+    fn poll_write_vectored(
+        mut self: Pin<&mut Self>,
+        context: &mut Context<'_>,
+        slices: &[io::IoSlice<'_>],
+    ) -> Poll<io::Result<usize>> {
+        Pin::new(&mut self.stream).poll_write_vectored(context, slices)
+    }
+
+    fn is_write_vectored(&self) -> bool {
+        self.stream.is_write_vectored()
+    }
+
+    fn poll_flush(mut self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<io::Result<()>> {
+        Pin::new(&mut self.stream).poll_flush(context)
+    }
+
+    fn poll_shutdown(mut self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<io::Result<()>> {
+        Pin::new(&mut self.stream).poll_shutdown(context)
+    }
+}
+
+/// Who may look: a browser lets every page of the web connect to this machine's ports, and names of the web
+/// may lead to this machine.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Guests {
+    /// It listens on loopback, so that it goes by this machine's names only.
+    local: bool,
+}
+
+impl Guests {
+    pub(super) fn of(address: SocketAddr) -> Self {
+        Self { local: address.ip().is_loopback() }
+    }
+
+    /// Whether a request comes from our own page, or from no page; an error says why not.
+    pub(super) fn check(self, headers: &HeaderMap) -> Result<(), &'static str> {
+        let text = |name: HeaderName| headers.get(name).and_then(|value| value.to_str().ok());
+        let host = text(header::HOST).unwrap_or_default();
+        if self.local && !is_local(host) {
+            return Err("this viewer goes by localhost and 127.0.0.1 only");
+        }
+        let origin = text(header::ORIGIN);
+        let is_ours = |origin: &str| origin.split_once("://").is_some_and(|(_, of)| of == host);
+        if origin.is_some_and(|origin| !is_ours(origin)) {
+            return Err("another site's page may not look in here");
+        }
+        Ok(())
+    }
+}
+
+/// Whether a host, with or without a port, is this machine by a name that nobody else gives.
+fn is_local(host: &str) -> bool {
+    let name = match host.rsplit_once(':') {
+        Some((name, port)) if port.bytes().all(|byte| byte.is_ascii_digit()) => name,
+        _ => host,
+    };
+    let address = name.trim_start_matches('[').trim_end_matches(']').parse::<IpAddr>();
+    name.eq_ignore_ascii_case("localhost") || address.is_ok_and(|address| address.is_loopback())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn pages_of_other_sites_do_not_look_in() {
+        let check = |address: &str, host: &str, origin: Option<&str>| {
+            let mut headers = HeaderMap::new();
+            headers.insert(header::HOST, host.parse().unwrap());
+            if let Some(origin) = origin {
+                headers.insert(header::ORIGIN, origin.parse().unwrap());
+            }
+            Guests::of(address.parse().unwrap()).check(&headers).is_ok()
+        };
+        // A tunnel has any port at its other end.
+        for host in ["localhost:9000", "127.0.0.1:8080", "[::1]:8080", "LOCALHOST", "127.0.0.1"] {
+            assert!(check("127.0.0.1:8080", host, None), "{host}");
+            assert!(check("127.0.0.1:8080", host, Some(&format!("http://{host}"))), "{host}");
+            assert!(!check("127.0.0.1:8080", host, Some("https://example.org")), "{host}");
+            assert!(!check("127.0.0.1:8080", host, Some("null")), "{host}");
+        }
+        for host in ["example.org:8080", "localhost.example.org", "10.0.0.3:8080", ""] {
+            assert!(!check("127.0.0.1:8080", host, None), "{host}");
+        }
+        // Whoever lets the network in chooses the names.
+        assert!(check("0.0.0.0:8080", "lab.example.org", Some("http://lab.example.org")));
+        assert!(!check("0.0.0.0:8080", "lab.example.org", Some("http://example.org")));
+    }
+}

@@ -1,0 +1,286 @@
+// The page: which session and environment is watched, and all that is shown of it beside the theatre.
+
+import { Chart, short } from "./chart.js";
+import { Link } from "./link.js";
+import { Player } from "./player.js";
+import { sessionCards } from "./sessions.js";
+import { showJaws } from "./jaws.js";
+import { Theatre } from "./theatre.js";
+
+const STAGES = ["reach", "approach", "pick", "lift", "carry", "hand over", "place"];
+const SPEEDS = [0.25, 0.5, 1, 2, 4, 8];
+/** From so many times the speed of life on, episodes are shown and not the present. */
+const FAST = 1.5;
+
+const element = (id) => document.getElementById(id);
+const theatre = new Theatre(element("theatre"));
+const chart = new Chart(element("curve").querySelector("canvas"));
+const picture = element("endoscope").querySelector("canvas");
+
+let sessions = [];
+let server = null;
+/** What is watched: {session, env}, and whether its scene was there. */
+let watched = null;
+let hasScene = false;
+let wantsEndoscope = true;
+let frames = 0;
+
+const player = new Player({
+  show: (frame, before, fraction) => theatre.show(frame, before, fraction),
+  arrived: readOut,
+  more: () => link.send("more"),
+});
+
+const link = new Link({
+  hello({ name, pid, version }) {
+    document.body.dataset.link = "open";
+    server = name;
+    element("server").textContent = `${name} · ${version} · process ${pid}`;
+    document.title = `${name} – Trocar`;
+    notify();
+    if (watched) watch(watched.session, watched.env);
+  },
+  sessions({ list }) {
+    sessions = list;
+    const wanted = watched ?? fromAddress();
+    if (!watched && wanted && list.some(({ id }) => id === wanted.session)) watch(wanted.session, wanted.env);
+    showSessions();
+  },
+  mesh: (mesh) => theatre.addMesh(mesh),
+  scene(card) {
+    if (card.session !== watched?.session || card.env !== watched.env) return;
+    theatre.setScene(card, hasScene);
+    armNames = card.jaws;
+    hasScene = true;
+  },
+  frame(frame) {
+    if (hasScene) player.push(frame);
+  },
+  async picture(png) {
+    const bitmap = await createImageBitmap(png);
+    picture.getContext("2d").drawImage(bitmap, 0, 0, picture.width, picture.height);
+    bitmap.close();
+    element("endoscope").hidden = !wantsEndoscope || !watched;
+  },
+  gone({ session }) {
+    if (session !== watched?.session) return;
+    watched = null;
+    notify("mild", "The session has ended", "");
+    showSessions();
+  },
+  error({ message }) {
+    notify("mild", message, "");
+  },
+  bye() {},
+  closed(ended) {
+    document.body.dataset.link = ended ? "ended" : "lost";
+    const name = server ? `“${server}” ` : "";
+    if (ended) notify("", `The server ${name}has ended`, "What you see is its last moment. This page goes on by itself when a server is there again.");
+    else notify("", server ? `The connection to the server ${name}is lost` : "No server answers", "It may have been killed, or the tunnel to it is down. Trying again…");
+    element("server").textContent = ended ? "ended" : "not connected";
+  },
+});
+
+let armNames = [];
+
+function watch(session, env) {
+  const card = sessions.find(({ id }) => id === session);
+  const isOther = session !== watched?.session;
+  if (isOther || env !== watched.env) {
+    hasScene = hasScene && !isOther;
+    frames = 0;
+    chart.clear();
+    element("endoscope").hidden = true;
+  }
+  watched = { session, env };
+  if (card) {
+    player.stepSeconds = card.seconds_per_step || 0.2;
+    // Steps of one environment per second, over those of life.
+    const haste = (card.steps_per_second / card.envs) * player.stepSeconds;
+    if (isOther) player.pace = haste > FAST ? "episodes" : "live";
+  }
+  player.clear();
+  link.send({ watch: { session, env, pace: player.pace } });
+  history.replaceState(null, "", `#session=${session}&env=${env}`);
+  notify();
+  showSessions();
+}
+
+function fromAddress() {
+  const wanted = new URLSearchParams(location.hash.slice(1));
+  const [session, env] = [wanted.get("session"), wanted.get("env")].map(Number);
+  return Number.isInteger(session) && session > 0 ? { session, env: Number.isInteger(env) ? env : 0 } : null;
+}
+
+function showSessions() {
+  sessionCards(element("sessions"), sessions, watched?.session, server, (id) => watch(id, 0));
+  const card = sessions.find(({ id }) => id === watched?.session);
+  const isEmpty = !watched && !hasScene;
+  element("empty").hidden = !isEmpty;
+  if (isEmpty) {
+    element("empty").innerHTML = sessions.length
+      ? "<h2>Choose a session</h2><p>and watch any of its environments</p>"
+      : "<h2>Nobody trains here yet</h2><p>Sessions appear in the list as soon as they are opened.</p>";
+  }
+  for (const id of ["bar", "readout", "curve"]) element(id).hidden = isEmpty;
+  if (!card) return;
+  element("task").textContent = card.task;
+  if (document.activeElement !== element("env")) element("env").value = watched.env;
+  element("envs").textContent = `of ${card.envs}`;
+  for (const id of ["previous", "next", "env"]) element(id).disabled = card.envs === 1;
+  press("pace", "pace", player.pace);
+  element("speed").hidden = player.pace === "live";
+  element("speed").textContent = `${player.speed}×`.replace("0.25", "¼").replace("0.5", "½");
+  element("pause").textContent = player.paused ? "Go on" : "Pause";
+  element("pause").setAttribute("aria-pressed", player.paused);
+}
+
+function press(group, key, value) {
+  for (const button of element(group).querySelectorAll("button")) {
+    button.setAttribute("aria-pressed", button.dataset[key] === value);
+  }
+}
+
+/** The numbers of a frame that is shown. */
+function readOut(frame) {
+  frames += 1;
+  document.body.dataset.frames = frames;
+  frame.marks.forEach((mark) => chart.add(mark));
+  const card = sessions.find(({ id }) => id === watched?.session);
+  element("step").textContent = `${frame.steps}${card?.max_steps ? ` / ${card.max_steps}` : ""}`;
+  element("seed").textContent = frame.episode > 0n ? `${frame.seed}, episode ${frame.episode}` : `${frame.seed}`;
+  element("stage").textContent = STAGES[frame.stage] ?? "–";
+  const last = frame.marks.findLast((mark) => mark.isStep);
+  if (last) {
+    element("reward").textContent = short(last.reward);
+    element("return").textContent = short(chart.total);
+    const outcome = element("outcome");
+    outcome.textContent = last.success ? "at the goal" : last.ended ? "not at the goal" : "";
+    outcome.className = last.success ? "good" : "bad";
+    if (card?.success_rate === null && !last.success) outcome.textContent = "";
+  }
+  showJaws(element("jaws"), armNames, frame.jaws);
+  const forces = Array.from({ length: frame.contacts.length / 6 }, (_, index) =>
+    Math.hypot(...frame.contacts.subarray(6 * index + 3, 6 * index + 6)));
+  element("contacts").textContent = forces.length ? `${forces.length}, up to ${short(Math.max(...forces))} N` : "none";
+}
+
+function notify(kind = null, title = "", text = "") {
+  const notice = element("notice");
+  notice.hidden = kind === null;
+  notice.className = kind ?? "";
+  const heading = document.createElement(kind === "mild" ? "span" : "h2");
+  heading.textContent = title;
+  const more = document.createElement("p");
+  more.textContent = text;
+  notice.replaceChildren(heading, ...(text ? [more] : []));
+}
+
+// ---- What the user does ----
+
+const actions = {
+  pause() {
+    player.paused = !player.paused;
+    link.send({ pause: player.paused });
+    showSessions();
+  },
+  env(step) {
+    const card = sessions.find(({ id }) => id === watched?.session);
+    if (card) watch(card.id, (watched.env + step + card.envs) % card.envs);
+  },
+  session(step) {
+    const at = sessions.findIndex(({ id }) => id === watched?.session);
+    const next = sessions[(at + step + sessions.length) % sessions.length];
+    if (next) watch(next.id, 0);
+  },
+  pace(pace) {
+    player.pace = pace ?? (player.pace === "live" ? "episodes" : "live");
+    if (watched) watch(watched.session, watched.env);
+  },
+  speed(step) {
+    const at = SPEEDS.indexOf(player.speed) + step;
+    player.speed = SPEEDS[Math.max(0, Math.min(SPEEDS.length - 1, at))];
+    showSessions();
+  },
+  camera(name) {
+    if (!hasScene) return;
+    ({ overview: () => theatre.overview(), close: () => theatre.closeUp(), endoscope: () => theatre.rideEndoscope() })[name]();
+    press("cameras", "camera", name);
+  },
+  contacts() {
+    theatre.showsContacts = !theatre.showsContacts;
+  },
+  endoscope() {
+    wantsEndoscope = !wantsEndoscope;
+    element("endoscope").hidden = !wantsEndoscope || !watched;
+  },
+  save() {
+    theatre.save((png) => {
+      const anchor = document.createElement("a");
+      anchor.href = URL.createObjectURL(png);
+      anchor.download = `trocar-${element("task").textContent}-${element("step").textContent.split(" ")[0]}.png`;
+      anchor.click();
+      URL.revokeObjectURL(anchor.href);
+    });
+  },
+  help() {
+    element("help").showModal();
+  },
+};
+
+const KEYS = {
+  " ": actions.pause,
+  ArrowLeft: () => actions.env(-1),
+  ArrowRight: () => actions.env(1),
+  ArrowUp: () => actions.session(-1),
+  ArrowDown: () => actions.session(1),
+  1: () => actions.camera("overview"),
+  2: () => actions.camera("close"),
+  3: () => actions.camera("endoscope"),
+  l: () => actions.pace(),
+  "-": () => actions.speed(-1),
+  "+": () => actions.speed(1),
+  "=": () => actions.speed(1),
+  c: actions.contacts,
+  e: actions.endoscope,
+  s: actions.save,
+  "?": actions.help,
+};
+
+addEventListener("keydown", (event) => {
+  const isTyping = event.target instanceof HTMLInputElement;
+  if (isTyping || event.ctrlKey || event.metaKey || event.altKey || element("help").open) return;
+  const act = KEYS[event.key.length === 1 ? event.key.toLowerCase() : event.key];
+  if (!act) return;
+  event.preventDefault();
+  act();
+});
+
+element("pause").onclick = actions.pause;
+element("previous").onclick = () => actions.env(-1);
+element("next").onclick = () => actions.env(1);
+element("speed").onclick = () => actions.speed(player.speed === SPEEDS.at(-1) ? -SPEEDS.length : 1);
+element("pace").onclick = ({ target }) => target.dataset.pace && actions.pace(target.dataset.pace);
+element("cameras").onclick = ({ target }) => target.dataset.camera && actions.camera(target.dataset.camera);
+element("env").onchange = ({ target }) => {
+  const card = sessions.find(({ id }) => id === watched?.session);
+  const env = Number.parseInt(target.value, 10);
+  if (card && env >= 0 && env < card.envs) watch(card.id, env);
+  target.blur();
+  showSessions();
+};
+element("theatre").addEventListener("pointerdown", () => {
+  theatre.takeCamera();
+});
+theatre.onFree = () => press("cameras", "camera", "");
+press("cameras", "camera", "overview");
+showSessions();
+
+function tick(now) {
+  player.tick(now);
+  theatre.draw();
+  const card = sessions.find(({ id }) => id === watched?.session);
+  chart.draw(2 * (card?.max_steps || 50));
+  requestAnimationFrame(tick);
+}
+requestAnimationFrame(tick);

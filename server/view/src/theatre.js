@@ -1,0 +1,317 @@
+// The theatre in 3D: what the server's scenes are made of, where frames say it is.
+
+import {
+  AgXToneMapping, BufferAttribute, BufferGeometry, Color, ConeGeometry, CylinderGeometry, DirectionalLight, Fog,
+  Group, HemisphereLight, InstancedMesh, Matrix4, Mesh, MeshBasicMaterial, MeshStandardMaterial, PCFShadowMap,
+  PerspectiveCamera, PMREMGenerator, Quaternion, Raycaster, Scene, SphereGeometry, Vector2, Vector3, WebGLRenderer,
+} from "three";
+import { OrbitControls } from "three/addons/controls/OrbitControls.js";
+import { RoomEnvironment } from "three/addons/environments/RoomEnvironment.js";
+
+/** Length of the arrow of a force of 1 N, m; longer ones end at the second number. */
+const ARROW = 0.014, LONGEST = 0.06;
+const MOST_CONTACTS = 64;
+/** OpenCV's cameras look along z with y down, three.js's along −z with y up. */
+const FROM_OPENCV = new Quaternion(1, 0, 0, 0);
+const BACKDROP = 0x141a20;
+
+export class Theatre {
+  camera = new PerspectiveCamera(45, 1, 0.005, 30);
+  #canvas;
+  #renderer;
+  #scene = new Scene();
+  #controls;
+  #lamp = new DirectionalLight();
+  #sky = new HemisphereLight();
+  #geometries = new Map();
+  #materials = new Map();
+  #parts = [];
+  #card = null;
+  #contacts = new Contacts();
+  #ride = false;
+  #endoscope = null;
+  #dirty = true;
+  /** Called when the user takes the camera. */
+  onFree = () => {};
+
+  constructor(canvas) {
+    this.#canvas = canvas;
+    const renderer = new WebGLRenderer({ canvas, antialias: true, powerPreference: "high-performance" });
+    renderer.shadowMap.enabled = true;
+    renderer.shadowMap.type = PCFShadowMap;
+    renderer.toneMapping = AgXToneMapping;
+    renderer.toneMappingExposure = 1.15;
+    this.#renderer = renderer;
+    this.#scene.background = new Color(BACKDROP);
+    const room = new PMREMGenerator(renderer);
+    this.#scene.environment = room.fromScene(new RoomEnvironment(), 0.03).texture;
+    this.#scene.environmentIntensity = 0.42;
+    room.dispose();
+    this.camera.up.set(0, 0, 1);
+    this.camera.position.set(1, 0.6, 1);
+    this.#lamp.castShadow = true;
+    this.#lamp.shadow.mapSize.set(2048, 2048);
+    this.#lamp.shadow.normalBias = 0.002;
+    this.#scene.add(this.#lamp, this.#lamp.target, this.#sky, this.#contacts.group);
+    this.#controls = new OrbitControls(this.camera, canvas);
+    this.#controls.enableDamping = true;
+    this.#controls.dampingFactor = 0.12;
+    this.#controls.minDistance = 0.02;
+    this.#controls.maxDistance = 8;
+    this.#controls.addEventListener("start", () => this.#free());
+    canvas.addEventListener("dblclick", (event) => this.#lookThere(event));
+    new ResizeObserver(() => this.#resize()).observe(canvas);
+    this.#resize();
+  }
+
+  addMesh({ number, positions, normals, triangles }) {
+    const geometry = new BufferGeometry();
+    geometry.setAttribute("position", new BufferAttribute(positions, 3));
+    geometry.setAttribute("normal", new BufferAttribute(normals, 3));
+    geometry.setIndex(new BufferAttribute(triangles, 1));
+    this.#geometries.get(number)?.dispose();
+    this.#geometries.set(number, geometry);
+  }
+
+  /** Puts up what a scene is made of. The camera stays where it is for another scene of the same environment. */
+  setScene(card, keepsCamera) {
+    for (const part of this.#parts) this.#scene.remove(part);
+    this.#card = card;
+    this.#parts = card.parts.map((part) => {
+      const isGoal = card.bodies[part.body - 1] === "goal";
+      const mesh = new Mesh(this.#geometries.get(part.mesh), this.#material(part, isGoal));
+      mesh.castShadow = !isGoal;
+      mesh.receiveShadow = !isGoal;
+      mesh.scale.setScalar(part.size);
+      mesh.name = card.bodies[part.body - 1];
+      this.#scene.add(mesh);
+      return mesh;
+    });
+    this.#light(card);
+    if (!keepsCamera) this.overview();
+    this.#dirty = true;
+  }
+
+  #material({ colour, metallic, roughness }, isGoal) {
+    const key = [...colour, metallic, roughness, isGoal].join();
+    if (!this.#materials.has(key)) {
+      const color = new Color().setRGB(...colour);
+      const material = new MeshStandardMaterial({ color, metalness: metallic, roughness });
+      if (isGoal) {
+        material.emissive = color;
+        material.emissiveIntensity = 0.55;
+        material.transparent = true;
+        material.opacity = 0.85;
+      }
+      this.#materials.set(key, material);
+    }
+    return this.#materials.get(key);
+  }
+
+  #light({ light, stage }) {
+    const [low, high] = stage.map((corner) => new Vector3(...corner));
+    const middle = low.clone().add(high).multiplyScalar(0.5);
+    const radius = low.distanceTo(high) * 0.6;
+    this.#lamp.color.setRGB(...light.lamp);
+    this.#lamp.intensity = 2.3;
+    this.#lamp.target.position.copy(middle);
+    this.#lamp.position.copy(middle).addScaledVector(new Vector3(...light.direction), 2 * radius + 0.5);
+    const shadow = this.#lamp.shadow.camera;
+    Object.assign(shadow, { left: -radius, right: radius, top: radius, bottom: -radius, near: 0.05, far: 4 * radius + 1 });
+    shadow.updateProjectionMatrix();
+    this.#sky.color.setRGB(...light.sky);
+    this.#sky.groundColor.setRGB(...light.ground);
+    this.#sky.position.set(0, 0, 1);
+    this.#sky.intensity = 1.1;
+    this.#scene.fog = new Fog(BACKDROP, 2.2 + radius, 5.5 + 2 * radius);
+  }
+
+  /** Shows a moment, `fraction` of the way from the frame before, where there is one. */
+  show(frame, before = null, fraction = 1) {
+    if (!this.#card || frame.scene !== this.#card.number) return;
+    if (before?.scene !== frame.scene) before = null;
+    this.#parts.forEach((part, index) => place(part, frame.poses, 7 * index, before?.poses, fraction));
+    this.#contacts.show(frame.contacts);
+    this.#endoscope = frame.endoscope;
+    if (this.#ride) this.#rideAlong();
+    this.#dirty = true;
+  }
+
+  set showsContacts(shows) {
+    this.#contacts.group.visible = shows;
+    this.#dirty = true;
+  }
+
+  get showsContacts() {
+    return this.#contacts.group.visible;
+  }
+
+  /** Looks from where the task's overview is. */
+  overview() {
+    const { pose, view } = this.#card.overview;
+    const turn = new Quaternion(...pose.slice(3)).multiply(FROM_OPENCV);
+    const eye = new Vector3(...pose.slice(0, 3));
+    const forward = new Vector3(0, 0, -1).applyQuaternion(turn);
+    const [low, high] = this.#card.stage.map((corner) => new Vector3(...corner));
+    const distance = low.add(high).multiplyScalar(0.5).sub(eye).dot(forward);
+    this.#look(eye, eye.clone().addScaledVector(forward, distance), view);
+  }
+
+  /** Looks at the jaws from near by; at the endoscope's tip where there are none. */
+  closeUp() {
+    const jaw = this.#parts.filter((part) => part.name.endsWith("jaw_1_link"));
+    const scope = this.#parts.filter((part) => part.name.startsWith("ecm"));
+    const seen = jaw.length > 0 ? jaw : scope.slice(-1);
+    const target = new Vector3();
+    seen.forEach((part) => target.addScaledVector(part.position, 1 / seen.length));
+    const from = new Vector3(0.75, 0.5, 0.42).normalize();
+    const distance = jaw.length > 1 ? 0.26 : jaw.length === 1 ? 0.15 : 0.5;
+    this.#look(target.clone().addScaledVector(from, distance), target, 0.7);
+  }
+
+  /** Looks through the endoscope, and goes with it. */
+  rideEndoscope() {
+    if (!this.#endoscope) return;
+    this.#ride = true;
+    this.#controls.enabled = false;
+    this.#rideAlong();
+    this.#dirty = true;
+  }
+
+  #rideAlong() {
+    if (!this.#endoscope) return;
+    const [x, y, z, qx, qy, qz, qw, view] = this.#endoscope;
+    this.camera.position.set(x, y, z);
+    this.camera.quaternion.set(qx, qy, qz, qw).multiply(FROM_OPENCV);
+    this.#setView(view);
+  }
+
+  /** Takes the camera off the endoscope, a little further back along its axis. */
+  #free() {
+    if (this.#ride) {
+      this.#ride = false;
+      const forward = new Vector3(0, 0, -1).applyQuaternion(this.camera.quaternion);
+      this.#controls.target.copy(this.camera.position).addScaledVector(forward, 0.15);
+    }
+    this.#controls.enabled = true;
+    this.onFree();
+  }
+
+  /** The user touched the picture while it goes with the endoscope. */
+  takeCamera() {
+    if (this.#ride) this.#free();
+  }
+
+  #look(eye, target, view) {
+    this.#ride = false;
+    this.#controls.enabled = true;
+    this.camera.position.copy(eye);
+    this.#controls.target.copy(target);
+    this.#setView(view);
+    this.#controls.update();
+    this.#dirty = true;
+  }
+
+  #lookThere(event) {
+    const box = this.#canvas.getBoundingClientRect();
+    const at = new Vector2(((event.clientX - box.x) / box.width) * 2 - 1, 1 - ((event.clientY - box.y) / box.height) * 2);
+    const ray = new Raycaster();
+    ray.setFromCamera(at, this.camera);
+    const [hit] = ray.intersectObjects(this.#parts, false);
+    if (hit) {
+      this.#controls.target.copy(hit.point);
+      this.#dirty = true;
+    }
+  }
+
+  /** `view`: the angle from the upper to the lower edge, rad; in a narrow window, from side to side. */
+  #setView(view) {
+    const narrow = Math.min(1, this.camera.aspect);
+    this.camera.userData.view = view;
+    this.camera.fov = (2 * Math.atan(Math.tan(view / 2) / narrow) * 180) / Math.PI;
+    this.camera.updateProjectionMatrix();
+  }
+
+  #resize() {
+    const { clientWidth: width, clientHeight: height } = this.#canvas;
+    if (width === 0 || height === 0) return;
+    this.#renderer.setPixelRatio(Math.min(devicePixelRatio, 2));
+    this.#renderer.setSize(width, height, false);
+    this.camera.aspect = width / height;
+    this.#setView(this.camera.userData.view ?? 0.78);
+    this.#dirty = true;
+  }
+
+  /** Draws where something has moved. */
+  draw() {
+    if (!this.#ride && this.#controls.update()) this.#dirty = true;
+    if (!this.#dirty) return;
+    this.#dirty = false;
+    this.#renderer.render(this.#scene, this.camera);
+  }
+
+  /** A picture of what is shown, as a PNG. */
+  save(take) {
+    this.#renderer.render(this.#scene, this.camera);
+    this.#canvas.toBlob(take, "image/png");
+  }
+}
+
+const start = new Vector3(), startTurn = new Quaternion();
+
+/** Puts a part at a pose, a fraction of the way from the one before. */
+function place(part, poses, at, before, fraction) {
+  part.position.fromArray(poses, at);
+  part.quaternion.fromArray(poses, at + 3);
+  if (before && fraction < 1) {
+    start.fromArray(before, at);
+    startTurn.fromArray(before, at + 3);
+    part.position.lerpVectors(start, part.position.clone(), fraction);
+    part.quaternion.copy(startTurn.slerp(part.quaternion, fraction));
+  }
+}
+
+/** Contacts as points, and their forces as arrows that point where they push. */
+class Contacts {
+  group = new Group();
+  #points;
+  #shafts;
+  #heads;
+
+  constructor() {
+    const look = (color) => new MeshBasicMaterial({ color, depthTest: false, transparent: true, opacity: 0.9, toneMapped: false });
+    const many = (geometry, color) => {
+      const mesh = new InstancedMesh(geometry, look(color), MOST_CONTACTS);
+      mesh.frustumCulled = false;
+      mesh.renderOrder = 10;
+      mesh.count = 0;
+      this.group.add(mesh);
+      return mesh;
+    };
+    this.#shafts = many(new CylinderGeometry(1, 1, 1, 10).translate(0, 0.5, 0), 0xffb454);
+    this.#heads = many(new ConeGeometry(1, 1, 14).translate(0, 0.5, 0), 0xffb454);
+    this.#points = many(new SphereGeometry(1, 12, 8), 0xfff1d6);
+  }
+
+  show(contacts) {
+    const matrix = new Matrix4(), point = new Vector3(), force = new Vector3(), size = new Vector3(), end = new Vector3();
+    const turn = new Quaternion(), up = new Vector3(0, 1, 0);
+    const count = contacts.length / 6;
+    for (let index = 0; index < count; index++) {
+      point.fromArray(contacts, 6 * index);
+      force.fromArray(contacts, 6 * index + 3);
+      const newtons = force.length();
+      const length = Math.min(LONGEST, newtons * ARROW);
+      turn.setFromUnitVectors(up, force.normalize());
+      this.#points.setMatrixAt(index, matrix.compose(point, turn, size.setScalar(newtons > 0.01 ? 6e-4 : 3e-4)));
+      this.#shafts.setMatrixAt(index, matrix.compose(point, turn, size.set(2.2e-4, length, 2.2e-4)));
+      const head = Math.min(2.4e-3, 0.45 * length);
+      end.copy(point).addScaledVector(force, length);
+      this.#heads.setMatrixAt(index, matrix.compose(end, turn, size.set(0.36 * head, head, 0.36 * head)));
+    }
+    for (const mesh of [this.#points, this.#shafts, this.#heads]) {
+      mesh.count = count;
+      mesh.instanceMatrix.needsUpdate = true;
+    }
+  }
+}

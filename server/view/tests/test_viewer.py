@@ -1,0 +1,244 @@
+"""The live viewer in a real browser: ``make test-browser``.
+
+The server is ``$TROCAR_BINARY``; trainers are ``trocar rollout --server``. Run as a program with a
+file's name, it writes the README's picture of the page.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+from typing import Any
+from urllib.parse import urlsplit
+
+import pytest
+from chromium import PATIENCE, Chromium, changed
+
+BINARY = os.environ.get("TROCAR_BINARY", "trocar")
+
+
+class Server:
+    """A server with a viewer, and trainers in it."""
+
+    def __init__(self, *trainers: tuple[str, ...], port: str = "0") -> None:
+        self.name = f"view-{os.getpid()}-{time.monotonic_ns() % 10**8}"
+        self._log = tempfile.NamedTemporaryFile(mode="w+")
+        command = [BINARY, "serve", "--name", self.name, "--view", port, "--log-format", "json"]
+        self.process = subprocess.Popen(command, stderr=self._log)
+        self._trainers: list[subprocess.Popen[bytes]] = []
+        try:
+            self.address = self._serving()["view"]
+            for arguments in trainers:
+                self.train(*arguments)
+        except BaseException:
+            self.end()
+            raise
+
+    def _serving(self) -> dict[str, Any]:
+        deadline = time.monotonic() + PATIENCE
+        while time.monotonic() < deadline and self.process.poll() is None:
+            for line in Path(self._log.name).read_text().splitlines():
+                entry: dict[str, Any] = json.loads(line)
+                if entry.get("message") == "serving":
+                    return entry
+            time.sleep(0.05)
+        raise RuntimeError(Path(self._log.name).read_text())
+
+    def train(self, *arguments: str) -> None:
+        """Starts a trainer, which goes on until the server ends."""
+        command = [BINARY, "rollout", "--server", self.name, "--episodes", "1000000", *arguments]
+        trainer = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+        self._trainers.append(trainer)
+
+    def pause(self, stops: bool) -> None:
+        """Stops all trainers, or lets them go on."""
+        for trainer in self._trainers:
+            trainer.send_signal(signal.SIGSTOP if stops else signal.SIGCONT)
+
+    def end(self, how: signal.Signals = signal.SIGTERM) -> None:
+        """Ends the server and its trainers."""
+        for process in (self.process, *self._trainers):
+            if process.poll() is None:
+                process.send_signal(signal.SIGCONT)
+                process.send_signal(how if process is self.process else signal.SIGKILL)
+        for process in (self.process, *self._trainers):
+            process.wait(PATIENCE)
+        self._log.close()
+        if how == signal.SIGKILL:
+            subprocess.run([BINARY, "clean", "--name", self.name], capture_output=True, check=False)
+
+    def __enter__(self) -> Server:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.end()
+
+
+PICK = ("--task", "NeedlePick-v0", "--envs", "4")
+TRACK = ("--task", "ActiveTrack-v0", "--envs", "2")
+
+#: Shows nothing but the theatre, so that pixels that change are the arm's.
+BARE = (
+    "document.head.insertAdjacentHTML('beforeend',"
+    " '<style>main > :not(canvas) { display: none !important }</style>')"
+)
+
+
+def watch(browser: Chromium, server: Server, task: str) -> None:
+    """Opens the page and clicks on the session of a task."""
+    browser.open(f"http://{server.address}/")
+    browser.wait_for("document.body?.dataset.link === 'open'")
+    cards = "[...document.querySelectorAll('.session')]"
+    find = f"{cards}.find((card) => card.innerText.includes('{task}'))"
+    browser.wait_for(f"!!{find}")
+    browser.run(f"{find}.setAttribute('data-wanted', '')")
+    browser.click("[data-wanted]")
+    browser.wait_for("Number(document.body.dataset.frames) > 3")
+
+
+def test_it_lists_sessions_and_shows_a_moving_arm() -> None:
+    """Tasks, rates, numbers, the endoscope, and pixels that change until the view is paused."""
+    with Server(PICK, TRACK) as server, Chromium() as browser:
+        browser.open(f"http://{server.address}/")
+        browser.wait_for("document.querySelectorAll('.session').length === 2")
+        text = browser.run("document.querySelector('#sessions').innerText")
+        for part in ("NeedlePick", "4 envs", "ActiveTrack", "2 envs", "steps/s", "p99"):
+            assert part in text
+        assert server.name in browser.run("document.querySelector('#server').innerText")
+        watch(browser, server, "NeedlePick")
+        # Its numbers: the task, the jaws, the endoscope's picture, the reward.
+        browser.wait_for("document.querySelector('#step').innerText.includes('/ 50')")
+        assert browser.run("document.querySelector('#task').innerText") == "NeedlePick-v0"
+        assert "PSM1" in browser.run("document.querySelector('#jaws').innerText")
+        browser.wait_for("document.querySelector('#reward').innerText !== '\u2013'")
+        browser.wait_for("!document.querySelector('#endoscope').hidden")
+        sample = (
+            "new Set(document.querySelector('#endoscope canvas').getContext('2d')"
+            ".getImageData(0, 0, 192, 192).data).size"
+        )
+        assert browser.run(sample) > 50
+        # It moves, and stands still while it is paused though the trainer goes on.
+        browser.run(BARE)
+        browser.press("2")
+        first = browser.picture()
+        browser.wait("the arm moves", lambda: changed(first, browser.picture()) > 300)
+        browser.press(" ")
+        time.sleep(0.5)
+        frames = browser.run("document.body.dataset.frames")
+        still = browser.picture()
+        steps = "document.querySelector('[data-wanted] .speed').innerText"
+        time.sleep(1.5)
+        assert browser.run("document.body.dataset.frames") == frames
+        assert changed(still, browser.picture()) < 20
+        assert browser.run(steps) != "0 steps/s"
+        browser.press(" ")
+        browser.wait_for(f"Number(document.body.dataset.frames) > {frames}")
+        assert browser.errors == []
+
+
+def test_environments_paces_and_cameras_are_chosen_by_keys() -> None:
+    """Every key does what the help says."""
+    with Server(PICK) as server, Chromium() as browser:
+        watch(browser, server, "NeedlePick")
+        browser.press("ArrowRight")
+        browser.wait_for("document.querySelector('#env').value === '1'")
+        browser.wait_for("Number(document.body.dataset.frames) > 3")
+        browser.press("ArrowLeft")
+        browser.press("ArrowLeft")
+        browser.wait_for("document.querySelector('#env').value === '3'")
+        for key in "lll":
+            browser.press(key)
+            frames = browser.run("document.body.dataset.frames")
+            browser.wait_for(f"document.body.dataset.frames !== '{frames}'")
+        for key in "1233":
+            browser.press(key)
+        pressed = "document.querySelector('#cameras [aria-pressed=true]').innerText"
+        assert browser.run(pressed) == "Endoscope"
+        for key in "ce?":
+            browser.press(key)
+        assert browser.run("document.querySelector('#help').open")
+        assert browser.run("location.hash").endswith("env=3")
+        assert browser.errors == []
+
+
+def test_it_loads_nothing_from_any_other_host() -> None:
+    """Neither does it try, nor would it succeed."""
+    with Server(PICK) as server, Chromium() as browser:
+        watch(browser, server, "NeedlePick")
+        hosts = {urlsplit(address).netloc for address in browser.requests if "://" in address}
+        assert hosts == {server.address}
+        live = [address for address in browser.requests if address.startswith("ws:")]
+        assert set(live) == {f"ws://{server.address}/live"}
+        # And could not if it would.
+        browser.run("fetch('http://127.0.0.2:9/').catch((error) => (window.refused = `${error}`))")
+        browser.wait_for("window.refused")
+        assert any("Content Security Policy" in line for line in browser.errors)
+
+
+@pytest.mark.parametrize(
+    ("how", "message", "link"),
+    [(signal.SIGTERM, "has ended", "ended"), (signal.SIGKILL, "is lost", "lost")],
+)
+def test_the_end_of_the_server_is_said_and_survived(
+    how: signal.Signals, message: str, link: str
+) -> None:
+    """However it ended: with a clear message, and the page finds the next server by itself."""
+    with Chromium() as browser:
+        server = Server(PICK)
+        try:
+            watch(browser, server, "NeedlePick")
+        finally:
+            server.end(how)
+        browser.wait_for("document.body.dataset.link !== 'open'")
+        notice = browser.run("document.querySelector('#notice').innerText")
+        assert message in notice
+        assert server.name in notice
+        assert browser.run("document.body.dataset.link") == link
+        assert not browser.run("document.querySelector('#notice').hidden")
+        # The next server at that address is found without anybody's help.
+        port = server.address.rsplit(":", 1)[1]
+        with Server(TRACK, port=port):
+            browser.wait_for("document.body.dataset.link === 'open'")
+            browser.wait_for(
+                "document.querySelector('#sessions').innerText.includes('ActiveTrack')"
+            )
+            assert browser.run("document.querySelector('#notice').hidden")
+
+
+def test_it_works_in_narrow_windows() -> None:
+    """Nothing sticks out of the window of a telephone."""
+    with Server(PICK) as server, Chromium() as browser:
+        browser.resize(390, 844)
+        watch(browser, server, "NeedlePick")
+        browser.wait_for("!document.querySelector('#endoscope').hidden")
+        outside = (
+            "[...document.querySelectorAll('main > .panel')].filter((panel) => {"
+            " const box = panel.getBoundingClientRect();"
+            " return box.left < 0 || box.right > innerWidth || box.bottom > innerHeight;"
+            "}).map((panel) => panel.id)"
+        )
+        assert browser.run(outside) == []
+        assert browser.run("document.documentElement.scrollWidth") <= 390
+
+
+def take_picture(path: str) -> None:
+    """The README's picture: an expert at work, seen from near by."""
+    regrasp = ("--task", "NeedleRegrasp-v0", "--envs", "2")
+    with Server(regrasp, PICK, TRACK) as server, Chromium(1280, 760) as browser:
+        browser.resize(1280, 760)
+        watch(browser, server, "NeedleRegrasp")
+        browser.press("2")
+        browser.wait_for("!document.querySelector('#endoscope').hidden")
+        browser.wait_for("document.querySelector('#stage').innerText === 'hand over'")
+        browser.wait_for("document.querySelectorAll('.session .rate').length === 3")
+        Path(path).write_bytes(browser.picture())
+
+
+if __name__ == "__main__":
+    take_picture(sys.argv[1])
