@@ -97,8 +97,8 @@ impl<'a> Shader<'a> {
                 f32x4::new(normal) * f32x4::splat((a * x + b * y + c) * scale * normal[3])
             };
             let normal = (part(0) + part(1) + part(2)).to_array();
-            for axis in 0..3 {
-                surface.normal[axis][lane] = normal[axis];
+            for (axis, part) in surface.normal.iter_mut().zip(normal) {
+                axis[lane] = part;
             }
             let material = &self.scene.instances()[face.instance as usize].material;
             for channel in 0..3 {
