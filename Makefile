@@ -165,6 +165,12 @@ bench-async: release ## * 64 environments: a session against Gymnasium's AsyncVe
 	TROCAR_BINARY=$(TARGET)/release/trocar $(BIN)/python client-py/benches/async_vector_env.py \
 		--simulation $(TARGET)/release/examples/libin_process.so
 
+# What draws pictures is compared with in PyBullet.
+.PHONY: bench-tiny-renderer
+bench-tiny-renderer: .venv-bullet/ready ## * a picture of NeedlePick: this renderer against PyBullet's, in turns
+	$(CARGO) build --release --locked -p trocar-server --example in_process
+	.venv-bullet/bin/python client-py/benches/tiny_renderer.py --simulation $(TARGET)/release/examples/libin_process.so
+
 .PHONY: bench-plot
 bench-plot: release $(PLOT_VENV)/ready ## * assets/pictures/throughput.png: rates against envs and clients
 	mkdir -p assets/pictures
@@ -187,7 +193,7 @@ fmt: $(VENV)/ready ## * formats Rust and Python
 .PHONY: clean
 clean: ## removes all that the targets above made
 	$(CARGO) clean
-	rm -rf $(VENV) $(WHEEL_VENV) $(PLOT_VENV) .venv-rl .venv-rllib dist client-py/python/trocar/*.so server/view/node_modules
+	rm -rf $(VENV) $(WHEEL_VENV) $(PLOT_VENV) .venv-rl .venv-rllib .venv-bullet dist client-py/python/trocar/*.so server/view/node_modules
 
 # The program, the example of an own task and the Python package of this tree, in the profile that tests use.
 .PHONY: develop

@@ -17,6 +17,8 @@ pub struct Mesh {
     /// x, y and z of their unit normals.
     pub(super) normals: [Vec<f32>; 3],
     pub(super) triangles: Vec<[u32; 3]>,
+    /// x, y and z of the triangles' unit normals, and how far out along them they lie, m.
+    pub(super) planes: [Vec<f32>; 4],
     /// The sphere around it: centre and radius, m.
     pub(super) centre: Point3<f64>,
     pub(super) radius: f64,
@@ -42,11 +44,20 @@ impl Mesh {
             |(low, high), point| (low.inf(&point.coords), high.sup(&point.coords)),
         );
         let centre = Point3::from((low + high) * 0.5);
+        let mut planes = [(); 4].map(|()| Vec::with_capacity(triangles.len()));
+        for corners in &triangles {
+            let [a, b, c] = corners.map(|corner| positions[corner as usize]);
+            // A triangle without an area has a plane that faces nobody, and everybody.
+            let out = (b - a).cross(&(c - a)).try_normalize(0.0).unwrap_or_default();
+            let plane = [out.x, out.y, out.z, out.dot(&a.coords)];
+            planes.iter_mut().zip(plane).for_each(|(all, number)| all.push(number as f32));
+        }
         let far = |point: &Point3<f64>| (point - centre).norm();
         Self {
             positions: [along(0), along(1), along(2)],
             normals: [across(0), across(1), across(2)],
             triangles,
+            planes,
             centre,
             radius: positions.iter().map(far).fold(0.0, f64::max),
         }

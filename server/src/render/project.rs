@@ -19,6 +19,10 @@ pub(super) struct Projection {
     pub(super) near: Option<f32>,
 }
 
+/// How far a triangle's normal may turn away from who looks and the triangle still be looked at more closely, rad:
+/// far more than rounding.
+const TURNED_AWAY: f32 = 1e-4;
+
 /// No point is taken to be nearer to the plane of the lens, m.
 const LEAST_DEPTH: f32 = 1e-9;
 
@@ -51,22 +55,20 @@ pub(super) struct Face {
 #[derive(Debug, Default)]
 #[expect(clippy::struct_field_names, reason = "the faces of all that is drawn")]
 pub(super) struct Faces {
-    x: Vec<f32>,
-    y: Vec<f32>,
-    pub(super) key: Vec<f32>,
-    depth: Vec<f32>,
-    /// Unit normals in the world.
-    pub(super) normals: [Vec<f32>; 3],
+    /// Column, row, key and depth of each vertex.
+    places: Vec<[f32; 4]>,
+    /// Unit normal in the world and key of each vertex, for shading.
+    pub(super) normals: Vec<[f32; 4]>,
     pub(super) faces: Vec<Face>,
+    /// How much the triangles of a mesh face who looks.
+    facing: Vec<f32>,
 }
 
 impl Faces {
     pub(super) fn clear(&mut self) {
-        let Self { x, y, key, depth, normals: [nx, ny, nz], faces } = self;
-        for numbers in [x, y, key, depth, nx, ny, nz] {
-            numbers.clear();
-        }
-        faces.clear();
+        self.places.clear();
+        self.normals.clear();
+        self.faces.clear();
     }
 
     /// Adds the faces of a mesh that the projection sees from outside. `turn` takes its normals to the
@@ -79,66 +81,71 @@ impl Faces {
         turn: Option<&[[f32; 3]; 3]>,
         projection: &Projection,
     ) {
-        let first = self.x.len();
-        self.add_vertices(mesh, view_from_mesh, projection);
+        let first = self.places.len();
+        let nearest = self.add_vertices(mesh, view_from_mesh, projection);
         if let Some(turn) = turn {
-            let [mx, my, mz] = &mesh.normals;
-            for (row, out) in turn.iter().zip(&mut self.normals) {
-                let turned = mx.iter().zip(my).zip(mz);
-                out.extend(turned.map(|((x, y), z)| row[0] * x + row[1] * y + row[2] * z));
-            }
+            let [nx, ny, nz] = &mesh.normals;
+            let keys = self.places[first..].iter().map(|place| place[2]);
+            let normals = nx.iter().zip(ny).zip(nz).zip(keys);
+            self.normals.extend(normals.map(|(((x, y), z), key)| {
+                let [nx, ny, nz] = turn.map(|row| row[0] * x + row[1] * y + row[2] * z);
+                [nx, ny, nz, key]
+            }));
         }
-        let Some(near) = projection.near else {
-            for corners in &mesh.triangles {
-                self.add_face(corners.map(|corner| corner + first as u32), instance, projection);
-            }
-            return;
-        };
-        let is_ahead = self.depth[first..].iter().all(|depth| *depth > near);
-        for corners in &mesh.triangles {
-            let corners = corners.map(|corner| corner + first as u32);
-            if is_ahead || corners.iter().all(|corner| self.depth[*corner as usize] > near) {
-                self.add_face(corners, instance, projection);
-            } else if corners.iter().any(|corner| self.depth[*corner as usize] > near) {
-                self.add_clipped(corners, instance, projection, near, turn.is_some());
-            }
+        let mut facing = std::mem::take(&mut self.facing);
+        let least = how_they_face(mesh, view_from_mesh, projection, &mut facing);
+        let turned = mesh.triangles.iter().zip(&facing).filter(|(_, facing)| **facing > least);
+        let turned = turned.map(|(corners, _)| corners.map(|corner| corner + first as u32));
+        match projection.near.filter(|near| nearest <= *near) {
+            None => turned.for_each(|corners| self.add_face(corners, instance, projection)),
+            Some(near) => turned.for_each(|corners| {
+                let ahead =
+                    corners.iter().filter(|corner| self.places[**corner as usize][3] > near);
+                match ahead.count() {
+                    0 => {}
+                    3 => self.add_face(corners, instance, projection),
+                    _ => self.add_clipped(corners, instance, projection, near, turn.is_some()),
+                }
+            }),
         }
+        self.facing = facing;
     }
 
-    fn add_vertices(&mut self, mesh: &Mesh, view_from_mesh: &Affine, projection: &Projection) {
+    /// Adds the vertices of a mesh; the least of their depths.
+    fn add_vertices(
+        &mut self,
+        mesh: &Mesh,
+        view_from_mesh: &Affine,
+        projection: &Projection,
+    ) -> f32 {
         let [mx, my, mz] = &mesh.positions;
         let [sx, sy] = projection.scale;
         let [cx, cy] = projection.centre;
-        let first = self.x.len();
-        let count = mx.len();
-        for numbers in [&mut self.x, &mut self.y, &mut self.key, &mut self.depth] {
-            numbers.resize(first + count, 0.0);
-        }
         let [to_x, to_y, to_z] = view_from_mesh;
         let at =
             |row: &[f32; 4], x: f32, y: f32, z: f32| row[0] * x + row[1] * y + row[2] * z + row[3];
-        let (xs, ys) = (&mut self.x[first..][..count], &mut self.y[first..][..count]);
-        let (keys, depths) = (&mut self.key[first..][..count], &mut self.depth[first..][..count]);
-        let (mx, my, mz) = (&mx[..count], &my[..count], &mz[..count]);
+        let points = mx.iter().zip(my).zip(mz);
+        let mut nearest = f32::INFINITY;
         if projection.near.is_some() {
-            for i in 0..count {
-                let (x, y, z) = (mx[i], my[i], mz[i]);
-                let depth = at(to_z, x, y, z);
+            self.places.extend(points.map(|((x, y), z)| {
+                let depth = at(to_z, *x, *y, *z);
+                nearest = nearest.min(depth);
                 // Behind the near plane, but so that the place can be had from the quotient again.
                 let depth = if depth.abs() < LEAST_DEPTH { LEAST_DEPTH } else { depth };
                 let key = 1.0 / depth;
-                xs[i] = at(to_x, x, y, z) * key * sx + cx;
-                ys[i] = at(to_y, x, y, z) * key * sy + cy;
-                (keys[i], depths[i]) = (key, depth);
-            }
+                let column = at(to_x, *x, *y, *z) * key * sx + cx;
+                let row = at(to_y, *x, *y, *z) * key * sy + cy;
+                [column, row, key, depth]
+            }));
         } else {
-            for i in 0..count {
-                let (x, y, z) = (mx[i], my[i], mz[i]);
-                xs[i] = at(to_x, x, y, z) * sx + cx;
-                ys[i] = at(to_y, x, y, z) * sy + cy;
-                keys[i] = -at(to_z, x, y, z);
-            }
+            self.places.extend(points.map(|((x, y), z)| {
+                let depth = at(to_z, *x, *y, *z);
+                let column = at(to_x, *x, *y, *z) * sx + cx;
+                let row = at(to_y, *x, *y, *z) * sy + cy;
+                [column, row, -depth, depth]
+            }));
         }
+        nearest
     }
 
     /// Adds what lies beyond the near plane of a triangle that passes through it.
@@ -154,7 +161,7 @@ impl Faces {
         let mut count = 0;
         for index in 0..3 {
             let (from, to) = (corners[index], corners[(index + 1) % 3]);
-            let (start, end) = (self.depth[from as usize], self.depth[to as usize]);
+            let (start, end) = (self.places[from as usize][3], self.places[to as usize][3]);
             if start > near {
                 kept[count] = from;
                 count += 1;
@@ -182,30 +189,28 @@ impl Faces {
         has_normals: bool,
     ) -> u32 {
         let (from, to) = (from as usize, to as usize);
-        let part = (self.depth[from] - near) / (self.depth[from] - self.depth[to]);
+        let (start, end) = (self.places[from], self.places[to]);
+        let part = (start[3] - near) / (start[3] - end[3]);
         let between = |a: f32, b: f32| a + (b - a) * part;
-        let along = |numbers: &[f32], scale: f32, centre: f32| {
-            let side = |index: usize| (numbers[index] - centre) * self.depth[index] / scale;
-            between(side(from), side(to)) / near * scale + centre
-        };
-        let x = along(&self.x, projection.scale[0], projection.centre[0]);
-        let y = along(&self.y, projection.scale[1], projection.centre[1]);
-        self.x.push(x);
-        self.y.push(y);
-        self.key.push(1.0 / near);
-        self.depth.push(near);
+        let [x, y] = [0, 1].map(|axis| {
+            let (scale, centre) = (projection.scale[axis], projection.centre[axis]);
+            let side = |place: &[f32; 4]| (place[axis] - centre) * place[3] / scale;
+            between(side(&start), side(&end)) / near * scale + centre
+        });
+        let key = 1.0 / near;
+        self.places.push([x, y, key, near]);
         if has_normals {
-            for normals in &mut self.normals {
-                normals.push(between(normals[from], normals[to]));
-            }
+            let (start, end) = (self.normals[from], self.normals[to]);
+            let [nx, ny, nz] = [0, 1, 2].map(|axis| between(start[axis], end[axis]));
+            self.normals.push([nx, ny, nz, key]);
         }
-        self.x.len() as u32 - 1
+        self.places.len() as u32 - 1
     }
 
     /// Adds a triangle, unless it is seen from behind or covers no pixel's centre.
     fn add_face(&mut self, vertices: [u32; 3], instance: u32, projection: &Projection) {
-        let [i, j, k] = vertices.map(|vertex| vertex as usize);
-        let (x, y) = ([self.x[i], self.x[j], self.x[k]], [self.y[i], self.y[j], self.y[k]]);
+        let places = vertices.map(|vertex| self.places[vertex as usize]);
+        let [x, y, key] = [0, 1, 2].map(|number| places.map(|place| place[number]));
         let Some(columns) = whole_numbers(x, projection.size[0]) else { return };
         let Some(rows) = whole_numbers(y, projection.size[1]) else { return };
         // In long thin faces near the lens, products differ in their last digits only.
@@ -222,7 +227,6 @@ impl Faces {
             ([one.0, two.0, three.0], [one.1, two.1, three.1])
         };
         let over_area = 1.0 / area;
-        let key = [self.key[i], self.key[j], self.key[k]];
         let (d1, d2) = (apart(key, 1), apart(key, 2));
         let slopes = [(d2 * y1 - d1 * y2) * over_area, (d1 * x2 - d2 * x1) * over_area];
         self.faces.push(Face {
@@ -237,6 +241,36 @@ impl Faces {
             rows,
         });
     }
+}
+
+/// Writes how much each triangle of a mesh faces who looks, and returns how much it must at least to be looked at
+/// more closely.
+fn how_they_face(
+    mesh: &Mesh,
+    view_from_mesh: &Affine,
+    projection: &Projection,
+    facing: &mut Vec<f32>,
+) -> f32 {
+    let rows = view_from_mesh;
+    let squared = rows[0][..3].iter().map(|number| number * number).sum::<f32>();
+    // In the axes of the mesh: where the lens is, or where parallel rays come from.
+    let (viewer, shift, reach) = if projection.near.is_some() {
+        let lens: [f32; 3] = std::array::from_fn(|axis| {
+            -rows.iter().map(|row| row[axis] * row[3]).sum::<f32>() / squared
+        });
+        let away = lens.iter().map(|number| number.abs()).sum::<f32>();
+        (lens, 1.0, away + mesh.centre.coords.norm() as f32 + mesh.radius as f32)
+    } else {
+        (std::array::from_fn(|axis| -rows[2][axis] / squared.sqrt()), 0.0, 1.0)
+    };
+    let [nx, ny, nz, out] = &mesh.planes;
+    let planes = nx.iter().zip(ny).zip(nz).zip(out);
+    facing.clear();
+    facing.extend(
+        planes
+            .map(|(((x, y), z), out)| viewer[0] * x + viewer[1] * y + viewer[2] * z - shift * out),
+    );
+    -TURNED_AWAY * reach
 }
 
 /// The line through two points: positive on the inner side, and with exactly the reversed sign for the face

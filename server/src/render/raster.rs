@@ -51,7 +51,7 @@ impl Tile {
         let [start, end] = face.rows.map(usize::from);
         let (start, end) = (start.max(top) - top, end.min(top + TILE - 1) - top);
         let is_wide = last - first >= 2 * LANES;
-        let over_slopes = face.edges.map(|edge| 1.0 / edge[0]);
+        let over_slopes = if is_wide { face.edges.map(|edge| 1.0 / edge[0]) } else { [0.0; 3] };
         let least = face.least.map(f32x8::splat);
         let slopes = face.edges.map(|edge| f32x8::splat(edge[0]));
         let key_slope = f32x8::splat(face.key[0]);

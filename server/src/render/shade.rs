@@ -8,7 +8,7 @@
 
 use std::sync::LazyLock;
 
-use wide::f32x8;
+use wide::{f32x4, f32x8};
 
 use super::camera::Camera;
 use super::material;
@@ -86,22 +86,19 @@ impl<'a> Shader<'a> {
         }
         let mut surface = Gathered::default();
         let depth = depth.to_array();
-        let normals = &self.faces.normals;
         for lane in 0..LANES {
             let Some(number) = numbers[lane].checked_sub(1) else { continue };
             let face = &self.faces.faces[number as usize];
             let x = x + lane as f32;
             let scale = face.over_area * depth[lane];
-            let weight = |corner: usize| {
+            let part = |corner: usize| {
                 let [a, b, c] = face.edges[corner];
-                let key = self.faces.key[face.vertices[corner] as usize];
-                (a * x + b * y + c) * scale * key
+                let normal = self.faces.normals[face.vertices[corner] as usize];
+                f32x4::new(normal) * f32x4::splat((a * x + b * y + c) * scale * normal[3])
             };
-            let weights = [weight(0), weight(1), weight(2)];
-            let [i, j, k] = face.vertices.map(|vertex| vertex as usize);
-            for (axis, along) in normals.iter().enumerate() {
-                surface.normal[axis][lane] =
-                    along[i] * weights[0] + along[j] * weights[1] + along[k] * weights[2];
+            let normal = (part(0) + part(1) + part(2)).to_array();
+            for (axis, part) in surface.normal.iter_mut().zip(normal) {
+                axis[lane] = part;
             }
             let material = &self.scene.instances()[face.instance as usize].material;
             for channel in 0..3 {
@@ -124,14 +121,14 @@ impl<'a> Shader<'a> {
         let material = &self.scene.instances()[face.instance as usize].material;
         let columns = Eight::splat(x) + STEPS;
         let scale = depth * Eight::splat(face.over_area);
+        let normals = face.vertices.map(|vertex| self.faces.normals[vertex as usize]);
         let weights: Triple = std::array::from_fn(|corner| {
-            let [a, b, c] = face.edges[corner];
-            let key = self.faces.key[face.vertices[corner] as usize];
+            let ([a, b, c], key) = (face.edges[corner], normals[corner][3]);
             (Eight::splat(a) * columns + Eight::splat(b * y + c)) * (scale * Eight::splat(key))
         });
-        let normal = self.faces.normals.each_ref().map(|along| {
-            let of = |corner: usize| Eight::splat(along[face.vertices[corner] as usize]);
-            of(0) * weights[0] + of(1) * weights[1] + of(2) * weights[2]
+        let normal: Triple = std::array::from_fn(|axis| {
+            let of = |corner: usize| Eight::splat(normals[corner][axis]) * weights[corner];
+            of(0) + of(1) + of(2)
         });
         Surface {
             normal: unit(normal),
@@ -147,12 +144,14 @@ impl<'a> Shader<'a> {
         let normal = surface.normal;
         let view = unit(ray.map(|part| -part));
         let lamp = self.lamp.map(Eight::splat);
-        let facing_lamp = dot(&normal, &lamp).max(zero);
-        let facing_view = dot(&normal, &view).max(number(1e-3));
+        let [towards_lamp, towards_view] = [dot(&normal, &lamp), dot(&normal, &view)];
+        let facing_lamp = towards_lamp.max(zero);
+        let facing_view = towards_view.max(number(1e-3));
 
-        // The mirrors: how many face half-way, how many hide each other, how much each reflects.
-        let half = unit(std::array::from_fn(|axis| lamp[axis] + view[axis]));
-        let facing_half = dot(&normal, &half).max(zero);
+        // The mirrors: how many face half-way, how many hide each other, how much each reflects. The sum of two
+        // unit vectors is twice as long as either reaches along it.
+        let reach = (number(0.5) + number(0.5) * dot(&view, &lamp)).max(number(1e-12)).sqrt();
+        let facing_half = ((towards_lamp + towards_view) * number(0.5) / reach).max(zero);
         let alpha = surface.roughness * surface.roughness;
         let squared = alpha * alpha;
         let spread = facing_half * facing_half * (squared - one) + one;
@@ -160,7 +159,7 @@ impl<'a> Shader<'a> {
         let k = alpha * number(0.5);
         let hidden = (facing_view * (one - k) + k) * (facing_lamp * (one - k) + k);
         let glint = facing * number(0.25) / hidden;
-        let grazing = one - dot(&view, &half).max(zero);
+        let grazing = one - reach;
         let grazing = grazing * grazing * grazing * grazing * grazing;
 
         let shadow = match self.shadow {
@@ -181,7 +180,7 @@ impl<'a> Shader<'a> {
         let a = (r[0] * r[0]).min(fade) * r[0] + r[1];
         let (mirror_scale, mirror_shift) = (number(-1.04) * a + r[2], number(1.04) * a + r[3]);
         let reflected = {
-            let twice = number(2.0) * dot(&normal, &view);
+            let twice = number(2.0) * towards_view;
             let direction: Triple = std::array::from_fn(|axis| normal[axis] * twice - view[axis]);
             self.theatre(&direction, &lamp, rough)
         };
@@ -280,15 +279,31 @@ fn shoulder(light: Eight) -> Eight {
     light.simd_gt(Eight::splat(0.7)).bitselect(bright, light)
 }
 
+/// Parts of the light, 0 to 1, for which there are bytes.
+const LIGHTS: usize = 4096;
+
+/// How pictures store them.
+static BYTES: LazyLock<[u8; LIGHTS]> = LazyLock::new(|| {
+    std::array::from_fn(|step| {
+        let light = step as f32 / (LIGHTS - 1) as f32;
+        (material::stored(light) * 255.0 + 0.5) as u8
+    })
+});
+
 /// The byte for a part of the light, 0 to 1.
 pub(super) fn byte(light: f32) -> u8 {
-    const STEPS: usize = 4096;
-    static BYTES: LazyLock<[u8; STEPS]> = LazyLock::new(|| {
-        std::array::from_fn(|step| {
-            let light = step as f32 / (STEPS - 1) as f32;
-            (material::stored(light) * 255.0 + 0.5) as u8
-        })
-    });
-    let step = light * (STEPS - 1) as f32 + 0.5;
-    BYTES[(step as usize).min(STEPS - 1)]
+    let step = light * (LIGHTS - 1) as f32 + 0.5;
+    BYTES[(step as usize).min(LIGHTS - 1)]
+}
+
+/// Writes the bytes of up to eight pixels: red, green, blue of each.
+pub(super) fn write_bytes(light: &Triple, pixels: &mut [u8]) {
+    let (scale, half) = (Eight::splat((LIGHTS - 1) as f32), Eight::splat(0.5));
+    let bytes = &*BYTES;
+    let steps = light.map(|light| (light * scale + half).fast_trunc_int().to_array());
+    for (lane, pixel) in pixels.chunks_exact_mut(3).enumerate() {
+        for channel in 0..3 {
+            pixel[channel] = bytes[(steps[channel][lane] as usize).min(LIGHTS - 1)];
+        }
+    }
 }

@@ -2,7 +2,7 @@
 //! the stage.
 
 use nalgebra::{Matrix3, Point3, Rotation3, UnitQuaternion, Vector3};
-use wide::f32x8;
+use wide::{f32x4, f32x8};
 
 use super::camera::Camera;
 use super::project::{Faces, Projection};
@@ -14,6 +14,9 @@ use crate::sim::frames::{Aabb, Pose};
 /// pixel does not shade itself.
 const OFFSET: f64 = 1.6;
 
+/// Pixels of a block along each side.
+const BLOCK: usize = 8;
+
 /// The key of where nothing stops the light.
 const NOTHING: f32 = f32::NEG_INFINITY;
 
@@ -24,6 +27,8 @@ pub(super) struct ShadowMap {
     size: usize,
     /// Keys of the nearest surfaces; minus the depth from the lamp.
     keys: Vec<f32>,
+    /// The least and the greatest key of each block of pixels and the blocks to its right and below it.
+    bounds: Vec<[f32; 2]>,
     faces: Faces,
     bins: Bins,
     lookup: Lookup,
@@ -86,6 +91,7 @@ impl ShadowMap {
                 }
             }
         }
+        self.bound();
         let world = rows(&lamp_from_world, 1.0);
         let to_pixel = |row: [f32; 4]| {
             let mut row = row.map(|number| number * (1.0 / pixel) as f32);
@@ -96,6 +102,44 @@ impl ShadowMap {
             rows: [to_pixel(world[0]), to_pixel(world[1]), world[2].map(|number| -number)],
             raised: (OFFSET * pixel) as f32,
         };
+    }
+
+    /// Finds the bounds of the blocks.
+    fn bound(&mut self) {
+        let across = self.size / BLOCK;
+        self.bounds.clear();
+        self.bounds.resize(across * across, [0.0; 2]);
+        for (bounds, lines) in
+            self.bounds.chunks_exact_mut(across).zip(self.keys.chunks_exact(BLOCK * self.size))
+        {
+            for (block, bound) in bounds.iter_mut().enumerate() {
+                let line = |index: usize| {
+                    let eight = &lines[index * self.size + block * BLOCK..][..BLOCK];
+                    f32x8::new(std::array::from_fn(|lane| eight[lane]))
+                };
+                let (mut least, mut greatest) = (line(0), line(0));
+                for index in 1..BLOCK {
+                    least = least.fast_min(line(index));
+                    greatest = greatest.fast_max(line(index));
+                }
+                let least = least.to_array().into_iter().fold(f32::INFINITY, f32::min);
+                let greatest = greatest.to_array().into_iter().fold(NOTHING, f32::max);
+                *bound = [least, greatest];
+            }
+        }
+        // From the first to the last, so that what is read has not been written.
+        for index in 0..self.bounds.len() {
+            let (right, below) = (index + 1, index + across);
+            let beside = [right, below, below + 1].into_iter();
+            let beside = beside.filter(|other| {
+                *other < self.bounds.len() && (*other % across != 0 || index % across + 1 != across)
+            });
+            let merged = beside.fold(self.bounds[index], |[least, greatest], other| {
+                let other = self.bounds[other];
+                [least.min(other[0]), greatest.max(other[1])]
+            });
+            self.bounds[index] = merged;
+        }
     }
 
     /// How much of the lamp's light reaches eight places (m) with these unit normals: 0 to 1.
@@ -119,16 +163,24 @@ impl ShadowMap {
     fn blurred(&self, column: f32, line: f32, key: f32) -> f32 {
         let (column, line) = (column - 0.5, line - 0.5);
         let (left, top) = (column as usize, line as usize);
-        let (right_part, low_part) = (column - left as f32, line - top as f32);
-        let weights = |part: f32| [1.0 - part, 1.0, part];
-        let across = weights(right_part);
-        let mut sum = 0.0;
-        for (index, weight) in weights(low_part).into_iter().enumerate() {
-            let three = &self.keys[(top + index) * self.size + left..][..3];
-            let passes = |index: usize| if three[index] <= key { across[index] } else { 0.0 };
-            sum += weight * (passes(0) + passes(1) + passes(2));
+        let [least, greatest] = self.bounds[top / BLOCK * (self.size / BLOCK) + left / BLOCK];
+        if greatest <= key {
+            return 1.0;
         }
-        sum * 0.25
+        if least > key {
+            return 0.0;
+        }
+        let (right_part, low_part) = (column - left as f32, line - top as f32);
+        let across = f32x4::new([1.0 - right_part, 1.0, right_part, 0.0]);
+        let key = f32x4::splat(key);
+        let mut sum = f32x4::splat(0.0);
+        for (index, weight) in [1.0 - low_part, 1.0, low_part].into_iter().enumerate() {
+            let four = &self.keys[(top + index) * self.size + left..][..4];
+            let four = f32x4::new([four[0], four[1], four[2], four[3]]);
+            sum += (four.simd_le(key) & across) * f32x4::splat(weight);
+        }
+        let [first, second, third, _] = sum.to_array();
+        (first + second + third) * 0.25
     }
 }
 

@@ -302,12 +302,7 @@ impl Band<'_> {
             if let Some(rgb) = &mut self.rgb {
                 let line = &mut rgb[3 * line.start..3 * line.end];
                 for (group, eight) in line.chunks_mut(3 * LANES).enumerate() {
-                    let colours = shader.colours(tile, row, group).map(f32x8::to_array);
-                    for (lane, pixel) in eight.chunks_exact_mut(3).enumerate() {
-                        pixel.copy_from_slice(
-                            &colours.each_ref().map(|each| shade::byte(each[lane])),
-                        );
-                    }
+                    shade::write_bytes(&shader.colours(tile, row, group), eight);
                 }
             }
         }
