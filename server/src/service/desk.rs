@@ -19,7 +19,6 @@ use crate::tasks::Registry;
 
 /// What is to be done about a control message.
 #[derive(Debug, Clone, PartialEq)]
-#[expect(clippy::large_enum_variant, reason = "there is one at a time, for rare messages")]
 pub enum Answer {
     /// Send this.
     Reply(ControlReply),

@@ -94,6 +94,7 @@ pub(super) struct Slot {
 
 /// A window, and how far it has come.
 #[derive(Debug)]
+#[expect(clippy::struct_excessive_bools, reason = "they are independent of each other")]
 struct Tap {
     env: u32,
     window: Arc<Window>,

@@ -96,6 +96,7 @@ enum Picture {
 }
 
 /// What a page waits for.
+#[expect(clippy::large_enum_variant, reason = "there is one at a time")]
 enum Event {
     Asked(Option<Result<Frame, axum::Error>>),
     List,
@@ -120,7 +121,7 @@ impl Page {
             match event {
                 Event::Asked(Some(Ok(Frame::Text(text)))) => self.obey(text.as_str()).await?,
                 Event::Asked(Some(Ok(Frame::Binary(_)))) => {
-                    self.refuse("commands are text").await?
+                    self.refuse("commands are text").await?;
                 }
                 Event::Asked(Some(Ok(Frame::Ping(_) | Frame::Pong(_)))) => {}
                 Event::Asked(Some(Err(_))) => return Err(Over(Some(close_code::PROTOCOL))),

@@ -72,6 +72,7 @@ pub enum Command {
 /// What the server says as text.
 #[derive(Debug, Serialize)]
 #[serde(tag = "type", rename_all = "snake_case")]
+#[expect(clippy::large_enum_variant, reason = "it is written and gone")]
 pub enum Notice<'a> {
     /// The first message.
     Hello {

@@ -54,7 +54,7 @@ export class Chart {
       if (reward > high) high = reward;
     }
     if (!(low <= high)) [low, high] = [-1, 0];
-    if (high - low < 1e-9) [low, high] = low === 0 ? [-1, 0] : [Math.min(low, low * 2), Math.max(0, high)];
+    if (high - low < 1e-9) [low, high] = low === 0 ? [-1, 0] : [Math.min(low, 0), Math.max(0, high)];
     const top = 8, bottom = height - 6, left = 44;
     const y = (reward) => bottom - ((reward - low) / (high - low)) * (bottom - top);
     const x = (index) => left + ((index + shown - marks.length) / (shown - 1)) * (width - left - 4);

@@ -14,8 +14,8 @@ export function showJaws(place, arms, jaws) {
     const put = (query, text) => (gauge.querySelector(query).textContent = text);
     put("b", arm.toUpperCase());
     put(".angle", `${((opening * 180) / Math.PI).toFixed(1)}°`);
-    gauge.querySelector(".fingers").setAttribute("d", fingers(opening, 26));
-    gauge.querySelector(".asked").setAttribute("d", fingers(Math.max(asked, 0), 30));
+    gauge.querySelector(".fingers").setAttribute("d", fingers(opening, 32));
+    gauge.querySelector(".asked").setAttribute("d", fingers(Math.max(asked, 0), 36));
     const bars = gauge.querySelectorAll(".squeeze i b");
     [one, other].forEach((newtons, side) => (bars[side].style.width = `${Math.min(100, (100 * newtons) / FULL)}%`));
     put(".force", `${short(Math.max(one, other))} N`);
@@ -34,6 +34,6 @@ function newGauge() {
 /** Two lines of a length from the hinge, an angle (rad) apart. */
 function fingers(angle, length) {
   const [x, y] = [length * Math.cos(angle / 2), length * Math.sin(angle / 2)];
-  const offset = 1.2;
-  return `M8 ${17 - offset}L${8 + x} ${17 - offset - y}M8 ${17 + offset}L${8 + x} ${17 + offset + y}`;
+  const offset = 2;
+  return `M4 ${17 - offset}L${4 + x} ${17 - offset - y}M4 ${17 + offset}L${4 + x} ${17 + offset + y}`;
 }

@@ -18,11 +18,17 @@ const chart = new Chart(element("curve").querySelector("canvas"));
 const picture = element("endoscope").querySelector("canvas");
 
 let sessions = [];
+/** No list has come yet. */
+let isFirst = true;
 let server = null;
-/** What is watched: {session, env}, and whether its scene was there. */
+let serverPid = null;
+/** What is watched: {session, env}. */
 let watched = null;
+/** Whether anything was shown of it, or of what was watched before. */
 let hasScene = false;
 let wantsEndoscope = true;
+/** Whether there is anything on the endoscope's canvas. */
+let hasPicture = false;
 let frames = 0;
 
 const player = new Player({
@@ -34,33 +40,39 @@ const player = new Player({
 const link = new Link({
   hello({ name, pid, version }) {
     document.body.dataset.link = "open";
-    server = name;
-    element("server").textContent = `${name} · ${version} · process ${pid}`;
+    theatre.forget();
+    if (pid !== serverPid) watched = null;
+    [server, serverPid] = [name, pid];
+    element("server").textContent = name;
+    element("server").title = `trocar ${version}, process ${pid}`;
     document.title = `${name} – Trocar`;
     notify();
     if (watched) watch(watched.session, watched.env);
   },
   sessions({ list }) {
     sessions = list;
-    const wanted = watched ?? fromAddress();
-    if (!watched && wanted && list.some(({ id }) => id === wanted.session)) watch(wanted.session, wanted.env);
+    if (isFirst) {
+      const wanted = fromAddress();
+      if (!watched && list.some(({ id }) => id === wanted?.session)) watch(wanted.session, wanted.env);
+    }
+    isFirst = false;
     showSessions();
   },
   mesh: (mesh) => theatre.addMesh(mesh),
-  scene(card) {
-    if (card.session !== watched?.session || card.env !== watched.env) return;
-    theatre.setScene(card, hasScene);
-    armNames = card.jaws;
-    hasScene = true;
-  },
+  scene: (card) => theatre.addScene(card, `${serverPid} ${card.session}`),
   frame(frame) {
-    if (hasScene) player.push(frame);
+    // What was watched before may still be on its way.
+    const card = theatre.sceneOf(frame.scene);
+    if (card && card.session === watched?.session && card.env === watched.env) player.push(frame);
   },
   async picture(png) {
+    // The server draws the present; what is played is drawn here.
+    if (player.pace !== "live") return;
     const bitmap = await createImageBitmap(png);
     picture.getContext("2d").drawImage(bitmap, 0, 0, picture.width, picture.height);
     bitmap.close();
-    element("endoscope").hidden = !wantsEndoscope || !watched;
+    hasPicture = true;
+    showEndoscope();
   },
   gone({ session }) {
     if (session !== watched?.session) return;
@@ -81,16 +93,13 @@ const link = new Link({
   },
 });
 
-let armNames = [];
-
 function watch(session, env) {
   const card = sessions.find(({ id }) => id === session);
   const isOther = session !== watched?.session;
   if (isOther || env !== watched.env) {
-    hasScene = hasScene && !isOther;
     frames = 0;
+    document.body.dataset.frames = frames;
     chart.clear();
-    element("endoscope").hidden = true;
   }
   watched = { session, env };
   if (card) {
@@ -100,10 +109,17 @@ function watch(session, env) {
     if (isOther) player.pace = haste > FAST ? "episodes" : "live";
   }
   player.clear();
+  hasPicture = false;
+  showEndoscope();
   link.send({ watch: { session, env, pace: player.pace } });
   history.replaceState(null, "", `#session=${session}&env=${env}`);
   notify();
   showSessions();
+}
+
+function showEndoscope() {
+  element("endoscope").hidden = !wantsEndoscope || !watched || !hasPicture;
+  theatre.inset = player.pace === "episodes" && !element("endoscope").hidden ? picture : null;
 }
 
 function fromAddress() {
@@ -144,6 +160,7 @@ function press(group, key, value) {
 /** The numbers of a frame that is shown. */
 function readOut(frame) {
   frames += 1;
+  hasScene = true;
   document.body.dataset.frames = frames;
   frame.marks.forEach((mark) => chart.add(mark));
   const card = sessions.find(({ id }) => id === watched?.session);
@@ -159,7 +176,11 @@ function readOut(frame) {
     outcome.className = last.success ? "good" : "bad";
     if (card?.success_rate === null && !last.success) outcome.textContent = "";
   }
-  showJaws(element("jaws"), armNames, frame.jaws);
+  if (player.pace === "episodes" && frame.endoscope && !hasPicture) {
+    hasPicture = true;
+    showEndoscope();
+  }
+  showJaws(element("jaws"), theatre.sceneOf(frame.scene)?.jaws ?? [], frame.jaws);
   const forces = Array.from({ length: frame.contacts.length / 6 }, (_, index) =>
     Math.hypot(...frame.contacts.subarray(6 * index + 3, 6 * index + 6)));
   element("contacts").textContent = forces.length ? `${forces.length}, up to ${short(Math.max(...forces))} N` : "none";
@@ -212,7 +233,7 @@ const actions = {
   },
   endoscope() {
     wantsEndoscope = !wantsEndoscope;
-    element("endoscope").hidden = !wantsEndoscope || !watched;
+    showEndoscope();
   },
   save() {
     theatre.save((png) => {
@@ -278,7 +299,7 @@ showSessions();
 
 function tick(now) {
   player.tick(now);
-  theatre.draw();
+  theatre.draw(now);
   const card = sessions.find(({ id }) => id === watched?.session);
   chart.draw(2 * (card?.max_steps || 50));
   requestAnimationFrame(tick);

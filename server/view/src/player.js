@@ -24,6 +24,8 @@ export class Player {
   #glide = 0;
   #span = 0;
   #asked = true;
+  /** What is shown is where it is to be. */
+  #rests = true;
   #show;
   #arrived;
   #more;
@@ -39,6 +41,7 @@ export class Player {
   clear() {
     this.#frames = [];
     this.#shown = this.#before = null;
+    this.#rests = true;
     this.#asked = true; // to watch is to ask
   }
 
@@ -57,9 +60,10 @@ export class Player {
   tick(now) {
     if (this.paused) return;
     while (this.#frames.length > 0 && now >= this.#since + this.#span) this.#advance(now);
-    if (this.#shown) {
+    if (!this.#rests) {
       const fraction = this.#glide > 0 ? Math.min(1, (now - this.#since) / this.#glide) : 1;
       this.#show(this.#shown, this.#before, fraction);
+      this.#rests = fraction === 1;
     }
     if (this.pace === "episodes" && !this.#asked && this.#frames.length < AHEAD) {
       this.#asked = true;
@@ -82,6 +86,7 @@ export class Player {
     }
     this.#before = follows ? shown : null;
     this.#shown = next;
+    this.#rests = false;
     this.#arrived(next);
   }
 }

@@ -1,8 +1,8 @@
 // The theatre in 3D: what the server's scenes are made of, where frames say it is.
 
 import {
-  AgXToneMapping, BufferAttribute, BufferGeometry, Color, ConeGeometry, CylinderGeometry, DirectionalLight, Fog,
-  Group, HemisphereLight, InstancedMesh, Matrix4, Mesh, MeshBasicMaterial, MeshStandardMaterial, PCFShadowMap,
+  BufferAttribute, BufferGeometry, Color, ConeGeometry, CylinderGeometry, DirectionalLight, Fog,
+  Group, HemisphereLight, InstancedMesh, Matrix4, Mesh, MeshBasicMaterial, MeshStandardMaterial, NeutralToneMapping, PCFShadowMap,
   PerspectiveCamera, PMREMGenerator, Quaternion, Raycaster, Scene, SphereGeometry, Vector2, Vector3, WebGLRenderer,
 } from "three";
 import { OrbitControls } from "three/addons/controls/OrbitControls.js";
@@ -11,6 +11,8 @@ import { RoomEnvironment } from "three/addons/environments/RoomEnvironment.js";
 /** Length of the arrow of a force of 1 N, m; longer ones end at the second number. */
 const ARROW = 0.014, LONGEST = 0.06;
 const MOST_CONTACTS = 64;
+/** Pictures that come later after each other are too slow, ms. */
+const LATE = 70;
 /** OpenCV's cameras look along z with y down, three.js's along −z with y up. */
 const FROM_OPENCV = new Quaternion(1, 0, 0, 0);
 const BACKDROP = 0x141a20;
@@ -25,32 +27,43 @@ export class Theatre {
   #sky = new HemisphereLight();
   #geometries = new Map();
   #materials = new Map();
+  #cards = new Map();
   #parts = [];
+  /** The scene whose parts are there. */
   #card = null;
+  #place = "";
   #contacts = new Contacts();
   #ride = false;
   #endoscope = null;
+  #lens = new PerspectiveCamera(60, 1, 0.01, 10);
+  /** A canvas that shows what the endoscope sees, or none. */
+  inset = null;
   #dirty = true;
+  #isSlow = drawsInSoftware();
+  /** Pixels of the picture over those of the window, each way. */
+  #fineness = this.#isSlow ? 0.6 : 1;
+  #drawn = 0;
+  #late = 0;
   /** Called when the user takes the camera. */
   onFree = () => {};
 
   constructor(canvas) {
     this.#canvas = canvas;
-    const renderer = new WebGLRenderer({ canvas, antialias: true, powerPreference: "high-performance" });
+    const renderer = new WebGLRenderer({ canvas, antialias: !this.#isSlow, powerPreference: "high-performance" });
     renderer.shadowMap.enabled = true;
     renderer.shadowMap.type = PCFShadowMap;
-    renderer.toneMapping = AgXToneMapping;
-    renderer.toneMappingExposure = 1.15;
+    renderer.toneMapping = NeutralToneMapping;
+    renderer.toneMappingExposure = 0.8;
     this.#renderer = renderer;
     this.#scene.background = new Color(BACKDROP);
     const room = new PMREMGenerator(renderer);
     this.#scene.environment = room.fromScene(new RoomEnvironment(), 0.03).texture;
-    this.#scene.environmentIntensity = 0.42;
+    this.#scene.environmentIntensity = 0.36;
     room.dispose();
     this.camera.up.set(0, 0, 1);
     this.camera.position.set(1, 0.6, 1);
     this.#lamp.castShadow = true;
-    this.#lamp.shadow.mapSize.set(2048, 2048);
+    this.#lamp.shadow.mapSize.setScalar(this.#isSlow ? 1024 : 2048);
     this.#lamp.shadow.normalBias = 0.002;
     this.#scene.add(this.#lamp, this.#lamp.target, this.#sky, this.#contacts.group);
     this.#controls = new OrbitControls(this.camera, canvas);
@@ -73,8 +86,25 @@ export class Theatre {
     this.#geometries.set(number, geometry);
   }
 
-  /** Puts up what a scene is made of. The camera stays where it is for another scene of the same environment. */
-  setScene(card, keepsCamera) {
+  /** Takes note of what frames of a scene are made of; it is put up with the first of them. While `place`, what
+   * is watched where, is the same, the camera stays where it is. */
+  addScene(card, place) {
+    this.#cards.set(card.number, { ...card, place });
+  }
+
+  /** What frames with this number are made of, as the server said it. */
+  sceneOf(number) {
+    return this.#cards.get(number);
+  }
+
+  /** On another connection scenes are numbered anew. What is there stays until it shows something else. */
+  forget() {
+    this.#cards.clear();
+    this.#card = null;
+  }
+
+  #putUp(card) {
+    for (const number of this.#cards.keys()) if (number < card.number) this.#cards.delete(number);
     for (const part of this.#parts) this.#scene.remove(part);
     this.#card = card;
     this.#parts = card.parts.map((part) => {
@@ -88,8 +118,8 @@ export class Theatre {
       return mesh;
     });
     this.#light(card);
-    if (!keepsCamera) this.overview();
-    this.#dirty = true;
+    if (card.place !== this.#place) this.overview();
+    this.#place = card.place;
   }
 
   #material({ colour, metallic, roughness }, isGoal) {
@@ -113,7 +143,7 @@ export class Theatre {
     const middle = low.clone().add(high).multiplyScalar(0.5);
     const radius = low.distanceTo(high) * 0.6;
     this.#lamp.color.setRGB(...light.lamp);
-    this.#lamp.intensity = 2.3;
+    this.#lamp.intensity = 1.9;
     this.#lamp.target.position.copy(middle);
     this.#lamp.position.copy(middle).addScaledVector(new Vector3(...light.direction), 2 * radius + 0.5);
     const shadow = this.#lamp.shadow.camera;
@@ -122,13 +152,15 @@ export class Theatre {
     this.#sky.color.setRGB(...light.sky);
     this.#sky.groundColor.setRGB(...light.ground);
     this.#sky.position.set(0, 0, 1);
-    this.#sky.intensity = 1.1;
+    this.#sky.intensity = 0.75;
     this.#scene.fog = new Fog(BACKDROP, 2.2 + radius, 5.5 + 2 * radius);
   }
 
   /** Shows a moment, `fraction` of the way from the frame before, where there is one. */
   show(frame, before = null, fraction = 1) {
-    if (!this.#card || frame.scene !== this.#card.number) return;
+    const card = this.#cards.get(frame.scene);
+    if (!card) return;
+    if (card !== this.#card) this.#putUp(card);
     if (before?.scene !== frame.scene) before = null;
     this.#parts.forEach((part, index) => place(part, frame.poses, 7 * index, before?.poses, fraction));
     this.#contacts.show(frame.contacts);
@@ -180,10 +212,8 @@ export class Theatre {
 
   #rideAlong() {
     if (!this.#endoscope) return;
-    const [x, y, z, qx, qy, qz, qw, view] = this.#endoscope;
-    this.camera.position.set(x, y, z);
-    this.camera.quaternion.set(qx, qy, qz, qw).multiply(FROM_OPENCV);
-    this.#setView(view);
+    atEndoscope(this.camera, this.#endoscope);
+    this.#setView(this.#endoscope[7]);
   }
 
   /** Takes the camera off the endoscope, a little further back along its axis. */
@@ -235,19 +265,53 @@ export class Theatre {
   #resize() {
     const { clientWidth: width, clientHeight: height } = this.#canvas;
     if (width === 0 || height === 0) return;
-    this.#renderer.setPixelRatio(Math.min(devicePixelRatio, 2));
+    this.#renderer.setPixelRatio(Math.min(devicePixelRatio, 2) * this.#fineness);
     this.#renderer.setSize(width, height, false);
     this.camera.aspect = width / height;
     this.#setView(this.camera.userData.view ?? 0.78);
     this.#dirty = true;
   }
 
-  /** Draws where something has moved. */
-  draw() {
+  /** Draws where something has moved; `now` in ms. */
+  draw(now) {
     if (!this.#ride && this.#controls.update()) this.#dirty = true;
     if (!this.#dirty) return;
     this.#dirty = false;
+    this.#keepUp(now);
+    this.#drawEndoscope();
     this.#renderer.render(this.#scene, this.camera);
+  }
+
+  /** Draws what the endoscope sees onto a canvas of its own: first, onto a corner that the theatre covers. */
+  #drawEndoscope() {
+    if (!this.inset || !this.#endoscope) return;
+    const { width, height } = this.inset;
+    const ratio = this.#renderer.getPixelRatio();
+    if (this.#canvas.width < width || this.#canvas.height < height) return;
+    const showsContacts = this.showsContacts;
+    this.#contacts.group.visible = false;
+    atEndoscope(this.#lens, this.#endoscope);
+    this.#lens.fov = (this.#endoscope[7] * 180) / Math.PI;
+    this.#lens.updateProjectionMatrix();
+    this.#renderer.setViewport(0, 0, width / ratio, height / ratio);
+    this.#renderer.setScissor(0, 0, width / ratio, height / ratio);
+    this.#renderer.setScissorTest(true);
+    this.#renderer.render(this.#scene, this.#lens);
+    this.inset.getContext("2d").drawImage(this.#canvas, 0, this.#canvas.height - height, width, height, 0, 0, width, height);
+    this.#renderer.setScissorTest(false);
+    this.#renderer.setViewport(0, 0, this.#canvas.width / ratio, this.#canvas.height / ratio);
+    this.#contacts.group.visible = showsContacts;
+  }
+
+  /** Makes do with fewer pixels where the machine cannot draw as many in time. */
+  #keepUp(now) {
+    const isLate = now - this.#drawn > LATE && now - this.#drawn < 100 * LATE;
+    this.#drawn = now;
+    this.#late = isLate ? this.#late + 1 : Math.max(0, this.#late - 2);
+    if (this.#late < 8 || this.#fineness < 0.45) return;
+    this.#late = 0;
+    this.#fineness *= 0.75;
+    this.#resize();
   }
 
   /** A picture of what is shown, as a PNG. */
@@ -255,6 +319,18 @@ export class Theatre {
     this.#renderer.render(this.#scene, this.camera);
     this.#canvas.toBlob(take, "image/png");
   }
+}
+
+/** Whether nothing but the processor draws here. */
+function drawsInSoftware() {
+  const canvas = document.createElement("canvas");
+  return !canvas.getContext("webgl2", { failIfMajorPerformanceCaveat: true });
+}
+
+/** Puts a camera where the endoscope is. */
+function atEndoscope(camera, [x, y, z, qx, qy, qz, qw]) {
+  camera.position.set(x, y, z);
+  camera.quaternion.set(qx, qy, qz, qw).multiply(FROM_OPENCV);
 }
 
 const start = new Vector3(), startTurn = new Quaternion();

@@ -27,7 +27,7 @@ class Server:
     """A server with a viewer, and trainers in it."""
 
     def __init__(self, *trainers: tuple[str, ...], port: str = "0") -> None:
-        self.name = f"view-{os.getpid()}-{time.monotonic_ns() % 10**8}"
+        self.name = f"view-{os.getpid() % 10**5}-{time.monotonic_ns() % 10**6}"
         self._log = tempfile.NamedTemporaryFile(mode="w+")
         command = [BINARY, "serve", "--name", self.name, "--view", port, "--log-format", "json"]
         self.process = subprocess.Popen(command, stderr=self._log)
