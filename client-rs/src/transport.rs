@@ -23,7 +23,7 @@ pub(crate) use crate::owned::Owned;
 pub(crate) const SLICE: Duration = Duration::from_millis(100);
 
 /// How long the first wait may last: then the session's thread is woken up, whatever the bell says.
-const NUDGE: Duration = Duration::from_millis(2);
+const NUDGE: Duration = Duration::from_millis(20);
 
 /// How long control replies are polled for without sleeping.
 const BRISK: Duration = Duration::from_micros(200);

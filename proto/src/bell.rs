@@ -144,7 +144,10 @@ impl Bells {
             .map_err(io::Error::from)
             .and_then(|()| Self::map(&file));
         match bells {
-            Ok(bells) => Ok(Self { made: Some(path), ..bells }),
+            Ok(mut bells) => {
+                bells.made = Some(path);
+                Ok(bells)
+            }
             Err(error) => {
                 fs::remove_file(path).ok();
                 Err(error)
