@@ -224,7 +224,7 @@ mod tests {
 
     use super::*;
 
-    const LONG: Duration = Duration::from_secs(60);
+    const LONG: Duration = Duration::from_mins(1);
 
     fn pair(label: &str) -> (crate::endpoint::Membership, Bells, Bells) {
         let name = format!("t-{label}-{}", std::process::id());

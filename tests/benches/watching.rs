@@ -8,6 +8,8 @@
 //!
 //! `cargo bench -p trocar-tests --bench watching -- [TASK [ENVS [ROUNDS]]]`
 
+#![expect(clippy::print_stdout, reason = "a table is what it is for")]
+
 #[allow(dead_code, clippy::unwrap_used)] // Made for the tests, which need more of it.
 #[path = "../harness.rs"]
 mod harness;
