@@ -619,7 +619,7 @@ mod tests {
         fn run(self) {
             self.0.run();
             let start = cpu_time();
-            while cpu_time() - start < 2 * TURN {}
+            while cpu_time().saturating_sub(start) < 2 * TURN {}
         }
     }
 
