@@ -36,14 +36,9 @@ impl Vigil {
 
     /// The message is there.
     pub fn end(&mut self) {
-        self.end_at(Instant::now());
-    }
-
-    /// The message was there at that time.
-    pub fn end_at(&mut self, arrival: Instant) {
         if self.asleep > 0 {
             self.asleep -= 1;
-        } else if arrival.duration_since(self.start) < Self::LONGEST {
+        } else if self.start.elapsed() < Self::LONGEST {
             self.penalty = self.penalty.saturating_sub(1);
         } else {
             self.penalty = (2 * self.penalty + Self::LEAST).min(Self::MOST);

@@ -6,9 +6,8 @@ use std::time::Duration;
 use trocar_proto::control::{Autoreset, SessionRequest};
 use trocar_proto::{Code, Rejection, TaskSpec};
 
-use super::pile::Divisible;
 use super::rows::Rows;
-use super::scheduler::Scheduler;
+use super::scheduler::{Divisible, Scheduler};
 use super::witness::Witness;
 use crate::env::{Env, Imaging, Rebuild};
 use crate::error::StepError;
@@ -52,11 +51,6 @@ impl Batch {
     /// The task under the session's options.
     pub(crate) fn spec(&self) -> &Arc<TaskSpec> {
         &self.spec
-    }
-
-    /// The time that a step of so many environments is expected to take.
-    pub(crate) fn cost(&self, envs: usize) -> Duration {
-        self.cost * envs as u32
     }
 
     /// Copies of the environments `env_ids`, as they are now.

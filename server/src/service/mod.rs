@@ -29,14 +29,11 @@ mod exporter;
 mod gallery;
 mod lease;
 mod meter;
-mod pile;
 mod ports;
 mod rows;
 mod scheduler;
-mod seat;
 mod session;
 mod store;
-mod turns;
 mod witness;
 
 use std::io;

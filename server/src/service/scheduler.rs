@@ -9,22 +9,16 @@
 //! A turn can last much longer: one environment's step may take milliseconds, and the kernel may give
 //! the processor to others meanwhile. Whoever is next and needs little does not wait for its end but
 //! goes ahead, on one thread more, one at a time. None of this changes any result.
-//!
-//! Waking a thread up takes longer than many a step. So where there is always somebody who will soon
-//! look, whose turn ends or who waits awake, the threads of sessions that need little are left asleep
-//! ([`Guest`]): whoever looks does their work in their place.
 
-use std::cell::Cell;
-use std::fmt;
-use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
-use std::time::Duration;
+use std::thread::Thread;
+use std::time::{Duration, Instant};
 
-use super::pile::{Divisible, Pile};
-use super::turns::{Guest, PROMISE, Promise, Share, Turns, WAITER, Waiter, Waiting};
+use rustix::time::{ClockId, clock_gettime};
 
 /// How long a session may keep a thread while others wait, and one bite more.
-pub(crate) const TURN: Duration = Duration::from_millis(1);
+const TURN: Duration = Duration::from_millis(1);
 
 /// Work that is taken up at once.
 const BITE: Duration = Duration::from_micros(200);
@@ -32,9 +26,19 @@ const BITE: Duration = Duration::from_micros(200);
 /// Work that is worth another thread: waking one up costs about half of it.
 const WORTH: Duration = Duration::from_micros(50);
 
+/// Work that can be cut in two anywhere.
+pub(crate) trait Divisible: Send + Sized {
+    /// How many pieces there are.
+    fn len(&self) -> usize;
+    /// The first `at` pieces, and the rest.
+    fn split_at(self, at: usize) -> (Self, Self);
+    /// Does the work.
+    fn run(self);
+}
+
 /// The threads that step environments, and how many of them its user may have at a time. Clones
 /// have that share together, and their time counts together.
-#[derive(Clone)]
+#[derive(Debug, Clone)]
 pub(crate) struct Scheduler {
     threads: Arc<Threads>,
     share: Arc<Share>,
@@ -42,6 +46,7 @@ pub(crate) struct Scheduler {
     spent: Arc<AtomicU64>,
 }
 
+#[derive(Debug)]
 struct Threads {
     pool: rayon::ThreadPool,
     turns: Mutex<Turns>,
@@ -49,10 +54,69 @@ struct Threads {
     busy: AtomicU64,
 }
 
-impl fmt::Debug for Scheduler {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.debug_struct("Scheduler").field("spent", &self.spent).finish_non_exhaustive()
+#[derive(Debug)]
+struct Turns {
+    free: usize,
+    /// Somebody has gone ahead.
+    ahead: bool,
+    /// In order of arrival.
+    waiting: Vec<Waiting>,
+    /// What the one who had the latest turn had spent before it, ns.
+    clock: u64,
+}
+
+impl Turns {
+    /// Whose turn is next: who had the threads for the least time, of those who may have one more.
+    fn next(&self) -> Option<usize> {
+        let waiting = self.waiting.iter().enumerate();
+        let may_run = waiting.filter(|(_, each)| each.share.left() > 0);
+        may_run.min_by_key(|(_, each)| each.spent).map(|(next, _)| next)
     }
+
+    /// Lets one of those who wait have a thread.
+    fn call(&mut self, next: usize) -> Arc<Waiter> {
+        let Waiting { waiter, share, spent } = self.waiting.remove(next);
+        self.clock = self.clock.max(spent);
+        share.taken.fetch_add(1, Ordering::Relaxed);
+        waiter
+    }
+}
+
+/// How many threads somebody may have, and has. Read and written under the lock of [`Turns`].
+#[derive(Debug)]
+struct Share {
+    limit: usize,
+    taken: AtomicUsize,
+}
+
+impl Share {
+    fn new(limit: usize) -> Arc<Self> {
+        Arc::new(Self { limit, taken: AtomicUsize::new(0) })
+    }
+
+    fn left(&self) -> usize {
+        self.limit.saturating_sub(self.taken.load(Ordering::Relaxed))
+    }
+}
+
+/// Somebody who waits for a turn.
+#[derive(Debug)]
+struct Waiting {
+    waiter: Arc<Waiter>,
+    share: Arc<Share>,
+    spent: u64,
+}
+
+#[derive(Debug)]
+struct Waiter {
+    thread: Thread,
+    called: AtomicBool,
+}
+
+thread_local! {
+    /// This thread, which waits for one turn at a time.
+    static WAITER: Arc<Waiter> =
+        Arc::new(Waiter { thread: std::thread::current(), called: AtomicBool::new(false) });
 }
 
 impl Scheduler {
@@ -62,16 +126,8 @@ impl Scheduler {
             .num_threads(threads)
             .thread_name(|index| format!("trocar-step-{index}"))
             .build()?;
-        let turns = Turns {
-            free: threads,
-            ahead: false,
-            waiting: vec![],
-            clock: 0,
-            guests: vec![],
-            watchers: 0,
-            slow: 0,
-        };
-        let threads = Threads { pool, turns: Mutex::new(turns), busy: AtomicU64::new(0) };
+        let turns = Mutex::new(Turns { free: threads, ahead: false, waiting: vec![], clock: 0 });
+        let threads = Threads { pool, turns, busy: AtomicU64::new(0) };
         let (threads, share) = (Arc::new(threads), Share::new(usize::MAX));
         Ok(Self { threads, share, spent: Arc::default() })
     }
@@ -98,13 +154,8 @@ impl Scheduler {
         while let Some(work) = rest.take().filter(|work| work.len() > 0) {
             let (count, each) = (work.len(), cost.as_nanos().max(1));
             let most = (each * count as u128 / WORTH.as_nanos()).clamp(1, count as u128) as usize;
-            let need = Need {
-                most,
-                little: each * count as u128 <= BITE.as_nanos(),
-                brief: each * count as u128 <= WORTH.as_nanos(),
-                slow: each > BITE.as_nanos(),
-            };
-            let turn = self.acquire(&need);
+            let little = each * count as u128 <= BITE.as_nanos();
+            let turn = self.acquire(most, little);
             let mut bite = (BITE.as_nanos() / each).max(1) as usize;
             if turn.threads > 1 {
                 // So that all of them end at about the same time.
@@ -120,119 +171,30 @@ impl Scheduler {
             let done = count - left.as_ref().map_or(0, W::len);
             *cost = (*cost + computed / done as u32) / 2;
             rest = left;
-            if rest.is_some() {
-                self.make_way();
-            }
         }
     }
 
-    /// Between two turns: lets guests go first that had less time.
-    fn make_way(&self) {
-        if IS_GUEST.get() {
-            // It takes longer than was expected, and on a thread that is not its own.
-            self.lock().dismiss();
-        } else {
-            self.attend(self.spent(), || true);
-        }
+    /// Whether every thread is taken.
+    pub(crate) fn is_busy(&self) -> bool {
+        self.lock().free == 0
     }
 
-    /// Does the work of guests that had less time than `limit`, as long as there is some and
-    /// `go_on` says so; returns whether there was any. The thread then owes them another look, or
-    /// [`Self::retire`].
-    pub(crate) fn attend(&self, limit: u64, go_on: impl Fn() -> bool) -> bool {
-        let mut any = false;
-        while go_on() {
-            let mut turns = self.lock();
-            if PROMISE.get() != Promise::None {
-                turns.promise(Promise::Soon);
-            }
-            let Some(guest) = turns.take_up(limit) else { break };
-            drop(turns);
-            any = true;
-            let was_guest = IS_GUEST.replace(true);
-            guest.serve();
-            IS_GUEST.set(was_guest);
-            if guest.is_due() && !self.lock().has(&guest) {
-                guest.wake();
-            }
-        }
-        any
-    }
-
-    /// From now on this thread does the work of guests before it sleeps; it has a guest itself, which
-    /// others may serve where it needs `little`.
-    pub(crate) fn watch(&self, own: &Arc<dyn Guest>, little: bool) {
+    /// Waits for a thread, then takes up to `most` that are idle. Who needs `little` may go ahead.
+    fn acquire(&self, most: usize, little: bool) -> Turn<'_> {
         let mut turns = self.lock();
-        turns.promise(Promise::Soon);
-        if little {
-            turns.enlist(own);
-        } else {
-            own.disarm();
-            turns.guests.retain(|guest| !Arc::ptr_eq(guest, own));
-        }
-    }
-
-    /// Whether more threads are awake, this one among them, than could be used.
-    pub(crate) fn is_crowded(&self) -> bool {
-        let turns = self.lock();
-        turns.watchers > turns.free
-    }
-
-    /// This thread is about to sleep: others look for the messages of its guest, or these wake it up.
-    /// Whether any is due is to be asked afterwards.
-    pub(crate) fn retire(&self, own: &Arc<dyn Guest>) {
-        let mut turns = self.lock();
-        turns.promise(Promise::None);
-        if !turns.has(own) {
-            own.arm();
-        }
-        turns.settle();
-    }
-
-    /// This thread ends, and its guest with it.
-    pub(crate) fn leave(&self, own: &Arc<dyn Guest>) {
-        let mut turns = self.lock();
-        turns.promise(Promise::None);
-        turns.guests.retain(|guest| !Arc::ptr_eq(guest, own));
-        turns.settle();
-    }
-
-    /// CPU time that it had, ns.
-    pub(super) fn spent(&self) -> u64 {
-        self.spent.load(Ordering::Relaxed)
-    }
-
-    /// Whether it may have a thread more.
-    pub(super) fn may_have_more(&self) -> bool {
-        self.share.left() > 0
-    }
-
-    /// Waits for a thread, then takes up to as many as it needs that are idle.
-    fn acquire(&self, need: &Need) -> Turn<'_> {
-        let &Need { most, little, brief, slow } = need;
-        let mut turns = self.lock();
-        // It will not look soon.
-        let busy = if PROMISE.get() == Promise::None { Promise::None } else { Promise::Later };
         let spent = self.spent.fetch_max(turns.clock, Ordering::Relaxed).max(turns.clock);
         // Whoever waits while threads are free has taken all of its share.
         let threads = turns.free.min(most).min(self.share.left());
         if threads > 0 {
             turns.free -= threads;
-            turns.slow += if slow { threads } else { 0 };
             turns.clock = spent;
             self.share.taken.fetch_add(threads, Ordering::Relaxed);
-            if !brief {
-                turns.promise(busy);
-            }
-            turns.settle();
-            return Turn { scheduler: self, threads, ahead: false, slow };
+            return Turn { scheduler: self, threads, ahead: false };
         }
         WAITER.with(|waiter| {
             waiter.called.store(false, Ordering::Relaxed);
             let share = Arc::clone(&self.share);
             turns.waiting.push(Waiting { waiter: Arc::clone(waiter), share, spent });
-            turns.promise(busy);
-            turns.settle();
             drop(turns);
             let mut ahead = false;
             while !ahead && !waiter.called.load(Ordering::Acquire) {
@@ -243,12 +205,7 @@ impl Scheduler {
                     std::thread::park();
                 }
             }
-            if slow {
-                let mut turns = self.lock();
-                turns.slow += 1;
-                turns.settle();
-            }
-            Turn { scheduler: self, threads: 1, ahead, slow }
+            Turn { scheduler: self, threads: 1, ahead }
         })
     }
 
@@ -267,7 +224,6 @@ impl Scheduler {
     fn release(&self, turn: &Turn<'_>) {
         let mut turns = self.lock();
         self.share.taken.fetch_sub(turn.threads, Ordering::Relaxed);
-        turns.slow -= if turn.slow { turn.threads } else { 0 };
         if turn.ahead {
             turns.ahead = false;
         } else {
@@ -280,10 +236,6 @@ impl Scheduler {
             waiter.called.store(true, Ordering::Release);
             waiter.thread.unpark();
         }
-        if PROMISE.get() == Promise::Later {
-            turns.promise(Promise::Soon);
-        }
-        turns.settle();
     }
 
     fn lock(&self) -> MutexGuard<'_, Turns> {
@@ -292,43 +244,23 @@ impl Scheduler {
     }
 }
 
-thread_local! {
-    /// Whether this thread does the work of a guest.
-    static IS_GUEST: Cell<bool> = const { Cell::new(false) };
-}
-
-/// What somebody needs for its next turn.
-#[derive(Debug, Default)]
-struct Need {
-    /// As many threads as are useful.
-    most: usize,
-    /// All of it takes no longer than a bite: it may go ahead.
-    little: bool,
-    /// All of it is not worth another thread.
-    brief: bool,
-    /// One piece takes longer than a bite.
-    slow: bool,
+/// CPU time of this thread since some moment.
+fn cpu_time() -> Duration {
+    let time = clock_gettime(ClockId::ThreadCPUTime);
+    Duration::new(time.tv_sec.cast_unsigned(), time.tv_nsec as u32)
 }
 
 /// Threads that are taken. They are given back when this is dropped, also by a panic.
-pub(super) struct Turn<'a> {
+struct Turn<'a> {
     scheduler: &'a Scheduler,
     threads: usize,
     /// It is one more than there are.
     ahead: bool,
-    /// Its pieces take long.
-    slow: bool,
 }
 
 impl Turn<'_> {
-    /// One of its threads has computed for so many ns, in that time.
-    pub(super) fn charge(&self, computed: u64, taken: Duration) {
-        self.scheduler.spent.fetch_add(computed, Ordering::Relaxed);
-        self.scheduler.threads.busy.fetch_add(taken.as_nanos() as u64, Ordering::Relaxed);
-    }
-
     /// Half of the threads, where there are several.
-    pub(super) fn split_off(&mut self) -> Option<Self> {
+    fn split_off(&mut self) -> Option<Self> {
         let half = self.threads / 2;
         self.threads -= half;
         (half > 0).then_some(Self { threads: half, ..*self })
@@ -341,11 +273,75 @@ impl Drop for Turn<'_> {
     }
 }
 
+/// Work from which the threads of one turn take bite by bite until it is done, or the turn is over.
+/// What a piece takes varies a lot, so only the clock tells when that is.
+struct Pile<W> {
+    rest: Mutex<Option<W>>,
+    /// How many pieces are taken at once.
+    bite: usize,
+    over: Instant,
+    /// A turn gets at least one bite done.
+    begun: AtomicBool,
+    /// CPU time of all threads together, ns.
+    computed: AtomicU64,
+}
+
+impl<W: Divisible> Pile<W> {
+    fn new(work: W, bite: usize) -> Self {
+        let (rest, over) = (Mutex::new(Some(work)), Instant::now() + TURN);
+        Self { rest, bite, over, begun: AtomicBool::new(false), computed: AtomicU64::new(0) }
+    }
+
+    /// Works on all threads of the turn, which the current pool has. Each is given back by itself:
+    /// others need not wait for the last one.
+    fn share_out(&self, mut turn: Turn<'_>) {
+        match turn.split_off() {
+            Some(half) => {
+                rayon::join(|| self.share_out(turn), || self.share_out(half));
+            }
+            None => self.work_off(turn),
+        }
+    }
+
+    /// Works on this thread, which is the only one of the turn.
+    fn work_off(&self, turn: Turn<'_>) {
+        let (start, computed) = (Instant::now(), cpu_time());
+        while let Some(work) = self.take() {
+            work.run();
+        }
+        // Nobody is charged for the time in which the kernel lets others have the processor.
+        let computed = cpu_time().saturating_sub(computed).as_nanos() as u64;
+        self.computed.fetch_add(computed, Ordering::Relaxed);
+        turn.scheduler.spent.fetch_add(computed, Ordering::Relaxed);
+        let taken = start.elapsed().as_nanos() as u64;
+        turn.scheduler.threads.busy.fetch_add(taken, Ordering::Relaxed);
+        drop(turn); // others may have the thread
+    }
+
+    /// The next bite, if there is one and still time for it.
+    fn take(&self) -> Option<W> {
+        if self.begun.swap(true, Ordering::Relaxed) && Instant::now() >= self.over {
+            return None;
+        }
+        let mut rest = self.rest.lock().unwrap_or_else(PoisonError::into_inner);
+        let work = rest.take()?;
+        let bite = self.bite.min(work.len());
+        let (now, left) = work.split_at(bite);
+        *rest = Some(left).filter(|left| left.len() > 0);
+        Some(now)
+    }
+
+    /// What was not done, and the CPU time that the rest took.
+    fn end(self) -> (Option<W>, Duration) {
+        let rest = self.rest.into_inner().unwrap_or_else(PoisonError::into_inner);
+        (rest, Duration::from_nanos(self.computed.into_inner()))
+    }
+}
+
 #[cfg(test)]
 mod tests {
-    use std::sync::atomic::{AtomicBool, AtomicUsize};
+    use std::sync::atomic::AtomicUsize;
 
-    use super::super::pile::cpu_time;
     use super::*;
 
     struct Count<'a> {
@@ -412,7 +408,7 @@ mod tests {
         });
         let running = scheduler.separate();
         running.spent.store(10, Ordering::Relaxed);
-        let turn = running.acquire(&Need { most: 1, ..Need::default() });
+        let turn = running.acquire(1, false);
         let order = Mutex::new(vec![]);
         std::thread::scope(|scope| {
             for (count, (user, name)) in
@@ -420,7 +416,7 @@ mod tests {
             {
                 let order = &order;
                 scope.spawn(move || {
-                    let turn = user.acquire(&Need { most: 1, ..Need::default() });
+                    let turn = user.acquire(1, false);
                     order.lock().unwrap().push(name);
                     drop(turn);
                 });
@@ -441,23 +437,21 @@ mod tests {
         let [long, small, large] = [(); 3].map(|()| scheduler.separate());
         large.spent.store(10, Ordering::Relaxed);
         let quota = scheduler.limited(1);
-        let turn = long.acquire(&Need { most: 1, ..Need::default() });
+        let turn = long.acquire(1, false);
         let state = || {
             let turns = scheduler.lock();
             (turns.free, turns.ahead, turns.waiting.len())
         };
         assert_eq!(state(), (0, false, 0));
-        let one = small.acquire(&Need { most: 1, little: true, ..Need::default() });
+        let one = small.acquire(1, true);
         assert_eq!((one.ahead, state()), (true, (0, true, 0)));
         drop(one);
         assert_eq!(state(), (0, false, 0));
         // Nor does it help to have many: one goes ahead at a time, and nobody beyond its share.
-        let (one, other) =
-            (quota.acquire(&Need { most: 1, little: true, ..Need::default() }), quota.separate());
+        let (one, other) = (quota.acquire(1, true), quota.separate());
         std::thread::scope(|scope| {
-            let later = scope
-                .spawn(|| drop(other.acquire(&Need { most: 1, little: true, ..Need::default() })));
-            let large = scope.spawn(|| large.acquire(&Need { most: 1, ..Need::default() }).ahead);
+            let later = scope.spawn(|| drop(other.acquire(1, true)));
+            let large = scope.spawn(|| large.acquire(1, false).ahead);
             while state().2 < 2 {
                 std::thread::yield_now();
             }
@@ -471,156 +465,6 @@ mod tests {
         });
         assert_eq!(state(), (1, false, 0));
         assert_eq!((quota.share.left(), scheduler.share.left()), (1, usize::MAX));
-    }
-
-    /// A guest whose messages are counted.
-    struct Visitor {
-        scheduler: Scheduler,
-        name: &'static str,
-        messages: AtomicUsize,
-        armed: AtomicBool,
-        woken: AtomicUsize,
-        /// Who was served, in order.
-        served: Arc<Mutex<Vec<&'static str>>>,
-    }
-
-    impl Visitor {
-        fn new(scheduler: &Scheduler, name: &'static str, served: &Served) -> Arc<Self> {
-            Arc::new(Self {
-                scheduler: scheduler.separate(),
-                name,
-                messages: AtomicUsize::new(0),
-                armed: AtomicBool::new(true),
-                woken: AtomicUsize::new(0),
-                served: Arc::clone(served),
-            })
-        }
-
-        fn is_armed(&self) -> bool {
-            self.armed.load(Ordering::SeqCst)
-        }
-    }
-
-    type Served = Arc<Mutex<Vec<&'static str>>>;
-
-    impl Guest for Visitor {
-        fn scheduler(&self) -> &Scheduler {
-            &self.scheduler
-        }
-
-        fn is_due(&self) -> bool {
-            self.messages.load(Ordering::SeqCst) > 0
-        }
-
-        fn claim(&self) -> bool {
-            true
-        }
-
-        fn serve(&self) {
-            self.messages.fetch_sub(1, Ordering::SeqCst);
-            drop(self.scheduler.acquire(&Need { most: 1, ..Need::default() }));
-            self.served.lock().unwrap().push(self.name);
-        }
-
-        fn arm(&self) {
-            self.armed.store(true, Ordering::SeqCst);
-        }
-
-        fn disarm(&self) {
-            self.armed.store(false, Ordering::SeqCst);
-        }
-
-        fn wake(&self) {
-            self.woken.fetch_add(1, Ordering::SeqCst);
-        }
-    }
-
-    #[test]
-    fn guests_are_left_asleep_only_while_somebody_will_look_for_their_messages() {
-        let scheduler = Scheduler::new(1).unwrap();
-        let served = Served::default();
-        let [own, other] = ["own", "other"].map(|name| Visitor::new(&scheduler, name, &served));
-        let dynamic = |visitor: &Arc<Visitor>| -> Arc<dyn Guest> { Arc::<Visitor>::clone(visitor) };
-        // On a thread of its own, since it has a promise of its own.
-        let retire = |visitor: &Arc<Visitor>| {
-            std::thread::scope(|scope| {
-                scope.spawn(|| {
-                    scheduler.watch(&dynamic(visitor), true);
-                    scheduler.retire(&dynamic(visitor));
-                });
-            });
-        };
-        retire(&other);
-        assert!(other.is_armed());
-        // While this thread is awake, it looks: in order of the time that they had.
-        scheduler.watch(&dynamic(&own), true);
-        retire(&other);
-        assert!(!own.is_armed() && !other.is_armed());
-        own.scheduler.spent.store(5, Ordering::Relaxed);
-        own.messages.store(1, Ordering::SeqCst);
-        other.messages.store(1, Ordering::SeqCst);
-        assert!(!scheduler.attend(0, || false));
-        assert!(scheduler.attend(u64::MAX, || true));
-        assert_eq!(*served.lock().unwrap(), ["other", "own"]);
-        // It will not look soon: others do it, whose turn ends, unless that takes long, too.
-        let need = |slow| Need { most: 1, slow, ..Need::default() };
-        drop(scheduler.acquire(&need(false)));
-        assert!(!other.is_armed());
-        other.messages.store(1, Ordering::SeqCst);
-        let turn = scheduler.acquire(&need(true));
-        assert!(other.is_armed() && own.is_armed());
-        assert_eq!(other.woken.load(Ordering::SeqCst), 1);
-        assert!(!scheduler.attend(u64::MAX, || true));
-        drop(turn);
-        // Nor does it when it sleeps.
-        scheduler.watch(&dynamic(&own), true);
-        retire(&other);
-        assert!(!other.is_armed());
-        scheduler.retire(&dynamic(&own));
-        assert!(other.is_armed() && own.is_armed());
-        assert_eq!(other.woken.load(Ordering::SeqCst), 2);
-        assert_eq!(own.woken.load(Ordering::SeqCst), 0);
-        let turns = scheduler.lock();
-        assert_eq!((turns.watchers, turns.slow, turns.free, turns.guests.len()), (0, 0, 1, 0));
-    }
-
-    #[test]
-    fn guests_that_had_less_time_go_between_two_turns() {
-        let scheduler = Scheduler::new(1).unwrap();
-        let served = Served::default();
-        let guest = Visitor::new(&scheduler, "guest", &served);
-        let dynamic: Arc<dyn Guest> = Arc::<Visitor>::clone(&guest);
-        let long = scheduler.separate();
-        scheduler.watch(&dynamic, true);
-        guest.messages.store(1, Ordering::SeqCst);
-        let (running, most) = (AtomicUsize::new(0), AtomicUsize::new(0));
-        let mut cells = vec![0; 1000];
-        let work = Count { cells: &mut cells, running: &running, most: &most };
-        // Pieces are taken up one by one, and take longer than was expected: each is a turn.
-        long.run(Slow(work), &mut Duration::from_micros(150));
-        assert_eq!(*served.lock().unwrap(), ["guest"]);
-        assert!(cells.iter().all(|cell| *cell == 1));
-        scheduler.leave(&dynamic);
-    }
-
-    /// Work of which a piece takes a whole turn.
-    struct Slow<'a>(Count<'a>);
-
-    impl Divisible for Slow<'_> {
-        fn len(&self) -> usize {
-            self.0.len().div_ceil(500)
-        }
-
-        fn split_at(self, at: usize) -> (Self, Self) {
-            let (first, second) = self.0.split_at(at * 500);
-            (Self(first), Self(second))
-        }
-
-        fn run(self) {
-            self.0.run();
-            let start = cpu_time();
-            while cpu_time().saturating_sub(start) < 2 * TURN {}
-        }
     }
 
     #[test]

@@ -12,6 +12,7 @@ use trocar_proto::control::{
 };
 use trocar_proto::endpoint::{Endpoint, Node};
 use trocar_proto::snapshot::MAX_PART;
+use trocar_proto::vigil::Vigil;
 use trocar_proto::wire::{
     Header, MAX_IN_FLIGHT, PictureLayout, ReplyLayout, RequestLayout, flag, kind,
 };
@@ -19,18 +20,20 @@ use trocar_proto::{Code, Rejection};
 
 use super::batch::{self, Batch, Deed};
 use super::desk::{self, Footprint};
-use super::gallery::{Gallery, Slot};
+use super::gallery::{Exhibit, Gallery, Slot};
 use super::internal;
 use super::meter::{Meter, TaskMeter};
 use super::ports::{self, DataPorts, Request};
 use super::rows::Rows;
-use super::scheduler::{Scheduler, TURN};
-use super::seat::Seat;
+use super::scheduler::Scheduler;
 use super::store::{Ledger, Saved, Store};
 use super::witness::{Failures, Tape, Witness};
 use crate::env::{Env, Imaging, Rebuild};
 use crate::tasks::Registry;
 use crate::view::source::{SessionCard, Tally};
+
+/// How long an idle session sleeps before it looks whether it should end.
+const SLICE: Duration = Duration::from_millis(100);
 
 /// What all sessions of a server share.
 pub(super) struct Ground {
@@ -64,15 +67,15 @@ pub(super) struct SessionHandle {
 
 /// What a session's thread has together with whoever asks about it.
 pub(super) struct Shared {
-    pub(super) id: u64,
-    pub(super) client: ClientInfo,
-    pub(super) task: String,
-    pub(super) envs: u32,
-    pub(super) stop: AtomicBool,
+    id: u64,
+    client: ClientInfo,
+    task: String,
+    envs: u32,
+    stop: AtomicBool,
     /// What arrived is still to be answered, and nothing more.
-    pub(super) finish: AtomicBool,
+    finish: AtomicBool,
     /// Why it ends, where it is told to.
-    pub(super) reason: OnceLock<&'static str>,
+    reason: OnceLock<&'static str>,
     pace: Mutex<Pace>,
     /// `None` until the session is open.
     store: Mutex<Option<Store>>,
@@ -91,11 +94,6 @@ struct Nature {
 }
 
 impl Shared {
-    /// Time since a request was answered.
-    pub(super) fn idle(&self) -> Duration {
-        self.pace.lock().unwrap_or_else(PoisonError::into_inner).latest.elapsed()
-    }
-
     /// Its environments.
     pub(super) fn envs(&self) -> u32 {
         self.envs
@@ -145,8 +143,6 @@ impl Shared {
 struct Pace {
     /// Time per message, µs.
     latency: Histogram<u64>,
-    /// When the latest was answered.
-    latest: Instant,
     window_start: Instant,
     window_steps: u64,
     steps_per_second: f64,
@@ -198,7 +194,7 @@ pub(super) fn open(
             Ok((session, info)) => {
                 ports::reply(&request, &ControlReply::Opened(info));
                 drop(request);
-                Seat::new(session).run();
+                session.run();
             }
             Err(refusal) => {
                 note_refusal(&ground.meter, pid, &refusal);
@@ -310,11 +306,11 @@ impl SessionHandle {
     }
 }
 
-/// A session as those see it who answer its requests.
-pub(super) struct Session {
-    pub(super) ground: Arc<Ground>,
-    pub(super) shared: Arc<Shared>,
-    pub(super) scheduler: Scheduler,
+/// The thread's side of a session.
+struct Session {
+    ground: Arc<Ground>,
+    shared: Arc<Shared>,
+    scheduler: Scheduler,
     meter: TaskMeter,
     batch: Batch,
     /// Whether the step after an episode's end resets instead of stepping.
@@ -323,25 +319,8 @@ pub(super) struct Session {
     reply_layout: ReplyLayout,
     /// How its environments are drawn when that is asked for.
     view: Option<(Imaging, PictureLayout)>,
-    pub(super) ports: DataPorts,
+    ports: DataPorts,
     inbox: Inbox,
-    /// A request that was received and is for the session's own thread.
-    kept: Option<Request>,
-    /// Steps that its environments took.
-    pub(super) steps: u64,
-    /// Requests that a client may have had in flight when its server was told to end.
-    left: usize,
-}
-
-/// What was done about a request.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Next {
-    /// There was none.
-    Nothing,
-    /// It was answered.
-    Answered,
-    /// It is for the session's own thread.
-    Kept,
 }
 
 /// A request's arrays, copied out of shared memory before anything looks at them, since whoever
@@ -409,62 +388,67 @@ impl Session {
             request_layout,
             reply_layout,
             view,
-            kept: None,
-            steps: 0,
-            left: MAX_IN_FLIGHT,
         };
         Ok((session, info))
     }
 
-    /// Answers the next request. Who is not `at_home`, on the session's own thread, leaves to that
-    /// what may take long.
-    pub(super) fn answer_next(&mut self, at_home: bool) -> Next {
-        let received = match self.kept.take() {
-            Some(request) => Ok(Some(request)),
-            None => self.ports.port.receive(),
-        };
-        let request = match received {
-            Ok(Some(request)) => request,
-            Ok(None) => return Next::Nothing,
-            Err(error) => {
-                tracing::warn!(session = self.shared.id, ?error, "a request was not received");
-                return Next::Nothing;
+    fn run(mut self) {
+        let Shared { id, task, envs, client, .. } = &*Arc::clone(&self.shared);
+        let (id, pid, opened) = (*id, client.pid, Instant::now());
+        let language = client.language.as_str();
+        tracing::info!(session = id, pid, language, task, envs, "session opened");
+        self.ground.meter.opened();
+        let show = |gallery: &Arc<Gallery>| gallery.exhibit(id, Arc::clone(&self.shared));
+        let exhibit: Option<Exhibit> = self.ground.gallery.as_ref().map(show);
+        let steps = self.answer_all();
+        drop(exhibit);
+        let reason = self.shared.reason.get().copied().unwrap_or("idle");
+        self.ground.meter.closed(reason);
+        let seconds = opened.elapsed().as_secs_f64();
+        tracing::info!(session = id, pid, task, envs, reason, steps, seconds, "session closed");
+    }
+
+    /// Answers requests until the session ends; returns how many steps environments took.
+    fn answer_all(&mut self) -> u64 {
+        let mut active = Instant::now();
+        let mut total = 0;
+        let mut vigil = Vigil::new();
+        // Requests that a client may have had in flight when its server was told to end.
+        let mut left = MAX_IN_FLIGHT;
+        while !self.shared.stop.load(Ordering::Acquire) && left > 0 {
+            // Asked before a request is looked for: what arrived by then is answered.
+            let finish = self.shared.finish.load(Ordering::Acquire);
+            let seen = self.ports.bells.request().count();
+            match self.ports.port.receive() {
+                Ok(Some(request)) => {
+                    vigil.end();
+                    let start = Instant::now();
+                    let steps = self.answer(&request);
+                    self.note(start, steps);
+                    total += steps;
+                    active = Instant::now();
+                    left -= usize::from(finish);
+                    vigil.begin();
+                }
+                Ok(None) if finish => break,
+                Ok(None) if !self.scheduler.is_busy() && vigil.keep() => {}
+                Ok(None) => {
+                    if active.elapsed() > self.ground.idle_limit {
+                        break;
+                    }
+                    if self.shared.slot.is_watched() {
+                        self.shared.slot.show(&self.batch);
+                    }
+                    self.ports.bells.request().sleep(seen, SLICE);
+                }
+                Err(error) => {
+                    let session = self.shared.id;
+                    tracing::warn!(session, ?error, "a request was not received");
+                    self.ports.bells.request().sleep(seen, SLICE);
+                }
             }
-        };
-        if !at_home && !self.is_little(request.user_header()) {
-            self.kept = Some(request);
-            return Next::Kept;
         }
-        let start = Instant::now();
-        let steps = self.answer(&request);
-        self.note(start, steps);
-        self.steps += steps;
-        if self.shared.finish.load(Ordering::Acquire) {
-            self.left = self.left.saturating_sub(1);
-            self.shared.stop.fetch_or(self.left == 0, Ordering::Release);
-        }
-        Next::Answered
-    }
-
-    /// Shows its environments to whoever watches them.
-    pub(super) fn show(&self) {
-        self.shared.slot.show(&self.batch);
-    }
-
-    /// Whether a request is kept for the session's own thread.
-    pub(super) fn has_kept(&self) -> bool {
-        self.kept.is_some()
-    }
-
-    /// Whether what is asked for will surely be done in one turn.
-    fn is_little(&self, asked: &Header) -> bool {
-        let rows = asked.rows.min(self.shared.envs) as usize;
-        asked.kind == kind::STEP && self.batch.cost(rows) <= TURN
-    }
-
-    /// Whether steps of all environments are.
-    pub(super) fn needs_little(&self) -> bool {
-        self.batch.cost(self.shared.envs as usize) <= TURN
+        total
     }
 
     /// Answers one request; returns how many steps environments took.
@@ -702,7 +686,6 @@ impl Pace {
     fn new() -> Self {
         Self {
             latency: Histogram::new_with_max(Self::LONGEST_US, 2).expect("2 digits are allowed"),
-            latest: Instant::now(),
             window_start: Instant::now(),
             window_steps: 0,
             steps_per_second: 0.0,
@@ -711,13 +694,12 @@ impl Pace {
     }
 
     fn note(&mut self, start: Instant, steps: u64) {
-        self.latest = Instant::now();
-        self.latency.saturating_record(self.latest.duration_since(start).as_micros() as u64);
+        self.latency.saturating_record(start.elapsed().as_micros() as u64);
         self.window_steps += steps;
-        let span = self.latest.duration_since(self.window_start);
+        let span = self.window_start.elapsed();
         if span >= Self::WINDOW {
             self.steps_per_second = self.window_steps as f64 / span.as_secs_f64();
-            self.window_start = self.latest;
+            self.window_start = Instant::now();
             self.window_steps = 0;
         }
     }
