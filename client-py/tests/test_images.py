@@ -77,7 +77,7 @@ def test_a_camera_can_be_placed() -> None:
     np.testing.assert_allclose(turn @ turn.T, np.eye(3), atol=1e-12)
     np.testing.assert_allclose(turn @ eye + shift, np.zeros(3), atol=1e-12)
     distance = np.linalg.norm(np.subtract(target, eye))
-    np.testing.assert_allclose(turn @ target + shift, (0, 0, distance), atol=1e-12)
+    np.testing.assert_allclose(turn @ target + shift, [0.0, 0.0, float(distance)], atol=1e-12)
     assert images.intrinsics[1] == pytest.approx(SIZE[0] / 2 / np.tan(np.radians(20)))
     # What lies on the pad lies at one height in the world.
     pad = images.bodies.index("pad") + 1

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
+from typing import Any
 
 import gymnasium as gym
 import numpy as np
@@ -17,7 +18,7 @@ SMALL = {"image_size": (24, 32)}
 
 
 def test_pictures_show_the_present_state(server: str) -> None:
-    env = gym.make("trocar/NeedleReach-v0", server=server, render_mode="rgb_array")
+    env: Any = gym.make("trocar/NeedleReach-v0", server=server, render_mode="rgb_array")
     assert env.metadata["render_fps"] == 5
     env.reset(seed=2)
     first = env.render()
@@ -33,7 +34,7 @@ def test_pictures_show_the_present_state(server: str) -> None:
 
 
 def test_depth_is_what_observations_of_depth_have(server: str) -> None:
-    view = {"image_size": (24, 32), "camera": "overview"}
+    view: dict[str, Any] = {"image_size": (24, 32), "camera": "overview"}
     env = trocar.TrocarEnv(
         "NeedlePick-v0",
         server=server,
@@ -45,7 +46,7 @@ def test_depth_is_what_observations_of_depth_have(server: str) -> None:
     observation, _ = env.reset(seed=1)
     picture = env.render()
     assert picture is not None
-    assert (picture.dtype, picture.shape) == (np.float32, (24, 32))
+    assert (picture.dtype.name, picture.shape) == ("float32", (24, 32))
     # Pictures for people have smooth edges, and everything else the same.
     assert np.median(np.abs(picture - observation["depth"][..., 0])) < 1e-4
     env.close()
@@ -71,7 +72,7 @@ def test_rendering_changes_nothing(server: str) -> None:
 
 
 def test_vector_environments_give_a_picture_of_each(server: str) -> None:
-    envs = gym.make_vec(
+    envs: Any = gym.make_vec(
         "trocar/NeedleReach-v0",
         num_envs=3,
         server=server,
@@ -83,7 +84,7 @@ def test_vector_environments_give_a_picture_of_each(server: str) -> None:
     assert isinstance(pictures, tuple)
     assert [picture.shape for picture in pictures] == [(24, 32, 3)] * 3
     assert (pictures[0] != pictures[1]).any()
-    single = trocar.TrocarEnv(
+    single: Any = trocar.TrocarEnv(
         "NeedleReach-v0",
         server=server,
         render_mode="rgb_array",
@@ -122,11 +123,12 @@ def test_without_a_mode_nothing_is_drawn_and_without_a_state_it_is_said(server: 
 
 
 def test_views_that_cannot_be_are_refused(server: str) -> None:
-    for wrong, words in [
+    views: list[tuple[dict[str, Any], str]] = [
         ({"image_size": (4, 4)}, "image_size"),
         ({"camera": "kitchen"}, "endoscope"),
         ({"zoom": 2.0}, "zoom"),
-    ]:
+    ]
+    for wrong, words in views:
         with pytest.raises(ValueError, match=words):
             trocar.TrocarEnv(
                 "NeedleReach-v0", server=server, render_mode="rgb_array", render_options=wrong

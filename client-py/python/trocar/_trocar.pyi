@@ -282,7 +282,7 @@ class ImageSpec:
         """Focal lengths and optical axis, pixels: fx, fy, cx, cy."""
     @property
     def camera_from_world(self) -> list[list[list[float]]]:
-        """Where each view's camera stands, empty where it moves: rows of OpenCV's [R | t], world to camera."""
+        """Where each view's camera stands: rows of OpenCV's [R | t]; empty where it moves."""
     @property
     def far(self) -> float:
         """Greatest depth, m: that of pixels that show nothing."""

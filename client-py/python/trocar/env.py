@@ -76,7 +76,7 @@ class TrocarEnv(GoalFunctions, gym.Env[Observation, NDArray[np.float32]]):
             task: Task id without namespace, e.g. ``NeedleReach-v0``.
             server: Name of the server; ``None`` for ``$TROCAR_SERVER``, else a private one.
             render_mode: What :meth:`render` gives: ``rgb_array``, ``depth_array`` or ``None``.
-            render_options: How :meth:`render` draws: ``image_size`` (H, W; 480 × 640), ``camera``
+            render_options: How :meth:`render` draws: ``image_size`` (H, W; 480 by 640), ``camera``
                 (``overview``, ``endoscope``, ``stereo`` with one picture above the other,
                 ``placed``), and ``camera_eye``, ``camera_target``, ``camera_view`` of a placed one.
             expert: Whether ``info["expert_action"]`` shall hold the scripted expert's action, and
@@ -106,7 +106,8 @@ class TrocarEnv(GoalFunctions, gym.Env[Observation, NDArray[np.float32]]):
             reconnect=reconnect,
             shown=self._begun,
         )
-        self.metadata = {**type(self).metadata, "render_fps": render_fps(self.task_spec)}
+        fps = {"render_fps": render_fps(self.task_spec)}
+        self.metadata = {**type(self).metadata, **fps}  # type: ignore[misc]
         self.action_space = action_space(self.task_spec)
         self.observation_space = observation_space(self.task_spec)
 
@@ -180,7 +181,7 @@ class TrocarEnv(GoalFunctions, gym.Env[Observation, NDArray[np.float32]]):
             raise ResetNeeded("the expert needs a state; reset the environment first")
         return np.array(self._expert_action)
 
-    def render(self) -> NDArray[Any] | None:  # type: ignore[override]
+    def render(self) -> NDArray[Any] | None:
         """A picture of the present state.
 
         Returns:

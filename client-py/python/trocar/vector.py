@@ -78,7 +78,7 @@ class TrocarVectorEnv(
                 (the next step resets it and ignores its action), ``same_step`` (the same step
                 resets it) or ``disabled`` (``reset`` with a ``reset_mask`` must).
             render_mode: What :meth:`render` gives: ``rgb_array``, ``depth_array`` or ``None``.
-            render_options: How :meth:`render` draws: ``image_size`` (H, W; 480 × 640), ``camera``
+            render_options: How :meth:`render` draws: ``image_size`` (H, W; 480 by 640), ``camera``
                 (``overview``, ``endoscope``, ``stereo`` with one picture above the other,
                 ``placed``), and ``camera_eye``, ``camera_target``, ``camera_view`` of a placed one.
             max_episode_steps: The task's own number or ``None``.
@@ -273,7 +273,7 @@ class TrocarVectorEnv(
         self._latest.check()
         return self._latest.arrays(copy=True)["expert_action"]
 
-    def render(self) -> tuple[NDArray[Any], ...] | None:  # type: ignore[override]
+    def render(self) -> tuple[NDArray[Any], ...] | None:
         """A picture of the present state of each environment, as :meth:`TrocarEnv.render` gives."""
         mode = self.render_mode
         if mode is None:
