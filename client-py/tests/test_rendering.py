@@ -139,7 +139,7 @@ def test_many_pictures_take_no_more_memory_than_is_counted(own_server: trocar.Se
     env = trocar.TrocarEnv("NeedleReach-v0", server=own_server.name, render_mode="rgb_array")
     env.reset(seed=0)
     counted = own_server.status()["memory_bytes"]
-    for _ in range(60):
+    for _ in range(20):
         env.render()
     # As the server names its shared memory: by the FNV-1a hash of its folder's name.
     number = 0x811C9DC5
