@@ -205,9 +205,16 @@ impl Slot {
 
 impl Tap {
     fn show_present(&mut self, env: &Env, share: u32) {
-        if self.window.is_wanted() && Instant::now() >= self.due && self.put(env) {
+        if !self.window.is_wanted() || Instant::now() < self.due {
+            self.has_changed = true;
+            return;
+        }
+        // Before it is there: whoever takes it asks for the next one at once.
+        self.window.fulfil();
+        if self.put(env) {
             self.rest(share);
         } else {
+            self.window.ask();
             self.has_changed = true;
         }
     }
@@ -220,13 +227,15 @@ impl Tap {
             let keep = self.marks.len().saturating_sub(1);
             self.marks.drain(..keep);
             self.follows = true;
+            self.window.fulfil();
         }
         if !self.follows && !self.is_new {
             self.marks.clear();
             return;
         }
-        if !self.put(env) {
+        if !self.put(env) && self.follows {
             self.follows = false;
+            self.window.ask();
         }
         // Autoreset may replace an episode by the next one with its last step.
         if self.follows && (self.has_ended || self.has_begun) && !begins {
@@ -252,9 +261,8 @@ impl Tap {
         is_put
     }
 
-    /// What was wanted is there. Pauses for so many times as long as it took.
+    /// Pauses for so many times as long as what was wanted took.
     fn rest(&mut self, share: u32) {
-        self.window.fulfil();
         self.due = Instant::now() + (share * std::mem::take(&mut self.spent)).max(PERIOD);
     }
 }
