@@ -9,7 +9,7 @@ use std::time::{Duration, Instant};
 use trocar_proto::wire::{ReplyLayout, kind};
 
 use super::batch::Batch;
-use super::session::Shared;
+use super::handle::Shared;
 use crate::env::Env;
 use crate::view::source::{About, Mark, Moment, Pace, SessionCard, Source, Window};
 

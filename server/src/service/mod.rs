@@ -9,6 +9,7 @@
 //! | `gallery.rs` | sessions as the viewer sees them |
 //! | `lease.rs` | who is alive: reclaims what dead clients leave |
 //! | `session.rs` | one thread per session: waits for requests, answers them |
+//! | `handle.rs` | a session as others see it: the control loop, the viewer |
 //! | `batch.rs` | the environments of a session: reset, step, autoreset |
 //! | `ports.rs` | the ends of the transport: how services are made, what a reply is |
 //! | `rows.rs` | the arrays of a reply, row by row |
@@ -27,6 +28,7 @@ mod cpus;
 mod desk;
 mod exporter;
 mod gallery;
+mod handle;
 mod lease;
 mod meter;
 mod ports;

@@ -3,15 +3,12 @@
 use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
-use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
-use hdrhistogram::Histogram;
 use trocar_proto::control::{
-    self, Autoreset, ClientInfo, ControlReply, SessionInfo, SessionRequest, SessionStatus,
+    self, Autoreset, ClientInfo, ControlReply, SessionInfo, SessionRequest,
 };
 use trocar_proto::endpoint::{Endpoint, Node};
-use trocar_proto::snapshot::MAX_PART;
 use trocar_proto::vigil::Vigil;
 use trocar_proto::wire::{
     Header, MAX_IN_FLIGHT, PictureLayout, ReplyLayout, RequestLayout, flag, kind,
@@ -21,6 +18,7 @@ use trocar_proto::{Code, Rejection};
 use super::batch::{self, Batch, Deed};
 use super::desk::{self, Footprint};
 use super::gallery::{Exhibit, Gallery, Slot};
+use super::handle::{Nature, Pace, SessionHandle, Shared};
 use super::internal;
 use super::meter::{Meter, TaskMeter};
 use super::ports::{self, DataPorts, Request};
@@ -30,7 +28,6 @@ use super::store::{Ledger, Saved, Store};
 use super::witness::{Failures, Tape, Witness};
 use crate::env::{Env, Imaging, Rebuild};
 use crate::tasks::Registry;
-use crate::view::source::{SessionCard, Tally};
 
 /// How long an idle session sleeps before it looks whether it should end.
 const SLICE: Duration = Duration::from_millis(100);
@@ -56,98 +53,6 @@ pub(super) struct Account {
     pub(super) ledger: Arc<Ledger>,
     /// The threads that they may have.
     pub(super) scheduler: Scheduler,
-}
-
-/// A session as the control loop sees it.
-pub(super) struct SessionHandle {
-    shared: Arc<Shared>,
-    thread: JoinHandle<()>,
-    footprint: Footprint,
-}
-
-/// What a session's thread has together with whoever asks about it.
-pub(super) struct Shared {
-    id: u64,
-    client: ClientInfo,
-    task: String,
-    envs: u32,
-    stop: AtomicBool,
-    /// What arrived is still to be answered, and nothing more.
-    finish: AtomicBool,
-    /// Why it ends, where it is told to.
-    reason: OnceLock<&'static str>,
-    pace: Mutex<Pace>,
-    /// `None` until the session is open.
-    store: Mutex<Option<Store>>,
-    tape: Tape,
-    /// What the task is like; nothing until the session is open.
-    nature: OnceLock<Nature>,
-    slot: Slot,
-}
-
-/// What the viewer shows of a task.
-#[derive(Debug)]
-struct Nature {
-    max_steps: u32,
-    seconds_per_step: f64,
-    has_goal: bool,
-}
-
-impl Shared {
-    /// Its environments.
-    pub(super) fn envs(&self) -> u32 {
-        self.envs
-    }
-
-    /// Where it is watched.
-    pub(super) fn slot(&self) -> &Slot {
-        &self.slot
-    }
-
-    /// The session in the viewer's list.
-    pub(super) fn card(&self) -> SessionCard {
-        let nature = self.nature.get();
-        let pace = self.pace.lock().unwrap_or_else(PoisonError::into_inner);
-        let success_rate = pace.tally.success_rate();
-        SessionCard {
-            id: self.id,
-            pid: self.client.pid,
-            language: self.client.language.clone(),
-            task: self.task.clone(),
-            envs: self.envs,
-            max_steps: nature.map_or(0, |nature| nature.max_steps),
-            seconds_per_step: nature.map_or(0.0, |nature| nature.seconds_per_step),
-            steps_per_second: pace.steps_per_second(),
-            p50_us: pace.latency.value_at_quantile(0.5) as f64,
-            p99_us: pace.latency.value_at_quantile(0.99) as f64,
-            episodes: pace.tally.episodes(),
-            success_rate: success_rate.filter(|_| nature.is_some_and(|nature| nature.has_goal)),
-        }
-    }
-
-    /// Does something with the session's snapshots.
-    fn with_store<T>(
-        &self,
-        act: impl FnOnce(&mut Store) -> Result<T, Rejection>,
-    ) -> Result<T, Rejection> {
-        // Whatever panicked has left every snapshot whole: they are put in and taken out as one.
-        let mut store = self.store.lock().unwrap_or_else(PoisonError::into_inner);
-        let opening =
-            || Rejection::new(Code::UnknownSession, "session", self.id, "it is being opened");
-        act(store.as_mut().ok_or_else(opening)?)
-    }
-}
-
-/// How fast a session runs.
-#[derive(Debug)]
-struct Pace {
-    /// Time per message, µs.
-    latency: Histogram<u64>,
-    window_start: Instant,
-    window_steps: u64,
-    steps_per_second: f64,
-    /// How episodes ended, where anybody may look.
-    tally: Tally,
 }
 
 /// Counts a session that is refused, and says so in the log.
@@ -212,96 +117,6 @@ pub(super) fn open(
                 ports::reply(&request, &ControlReply::Refused(refusal));
             }
             None
-        }
-    }
-}
-
-impl SessionHandle {
-    pub(super) fn client(&self) -> &ClientInfo {
-        &self.shared.client
-    }
-
-    pub(super) fn footprint(&self) -> Footprint {
-        self.footprint
-    }
-
-    /// Drops snapshots of the session.
-    pub(super) fn forget(&self, snapshots: &[u64]) -> Result<(), Rejection> {
-        self.shared.with_store(|store| {
-            for number in snapshots {
-                store.forget(*number);
-            }
-            Ok(())
-        })
-    }
-
-    /// A snapshot of the session as bytes.
-    pub(super) fn export(&self, snapshot: u64) -> Result<Vec<u8>, Rejection> {
-        self.shared.with_store(|store| store.export(snapshot))
-    }
-
-    /// Brings a snapshot into the session and gives its number.
-    pub(super) fn import(&self, bytes: &[u8]) -> Result<u64, Rejection> {
-        self.shared.with_store(|store| store.import(bytes))
-    }
-
-    /// Begins to record one of its environments, a state each `every` steps.
-    pub(super) fn record(&self, env: u32, every: u32) -> Result<(), Rejection> {
-        if env >= self.shared.envs {
-            let allowed = format!("allowed are numbers below {}", self.shared.envs);
-            return Err(Rejection::new(Code::InvalidEnvIds, "env", env, allowed));
-        }
-        self.shared.tape.start(env, every);
-        Ok(())
-    }
-
-    /// What was recorded since the last time, and how many states were lost.
-    pub(super) fn recorded(&self) -> Result<(Vec<u8>, u64), Rejection> {
-        self.shared.tape.fetch(MAX_PART)
-    }
-
-    pub(super) fn id(&self) -> u64 {
-        self.shared.id
-    }
-
-    pub(super) fn envs(&self) -> u32 {
-        self.shared.envs
-    }
-
-    /// Asks the session to end.
-    pub(super) fn stop(&self, reason: &'static str) {
-        self.shared.reason.set(reason).ok();
-        self.shared.stop.store(true, Ordering::Release);
-    }
-
-    /// Asks the session to end once it has answered what it was asked.
-    pub(super) fn finish(&self) {
-        self.shared.reason.set("shutdown").ok();
-        self.shared.finish.store(true, Ordering::Release);
-    }
-
-    pub(super) fn has_ended(&self) -> bool {
-        self.thread.is_finished()
-    }
-
-    pub(super) fn join(self, meter: &Meter) {
-        if self.thread.join().is_err() {
-            meter.closed("failed");
-            tracing::error!(session = self.shared.id, "a session's thread panicked");
-        }
-    }
-
-    pub(super) fn status(&self) -> SessionStatus {
-        let Shared { id, client, task, envs, pace, .. } = &*self.shared;
-        let pace = pace.lock().unwrap_or_else(PoisonError::into_inner);
-        SessionStatus {
-            id: *id,
-            pid: client.pid,
-            task: task.clone(),
-            envs: *envs,
-            steps_per_second: pace.steps_per_second(),
-            p50_us: pace.latency.value_at_quantile(0.5) as f64,
-            p99_us: pace.latency.value_at_quantile(0.99) as f64,
         }
     }
 }
@@ -674,42 +489,4 @@ fn saved(
         Saved::Recipe(_) => Arc::clone(&states[number]),
     };
     Ok(numbers.iter().zip(found).map(state).collect())
-}
-
-impl Pace {
-    /// Latencies beyond a minute count as a minute.
-    const LONGEST_US: u64 = 60_000_000;
-
-    /// Span over which steps per second are counted.
-    const WINDOW: Duration = Duration::from_secs(1);
-
-    fn new() -> Self {
-        Self {
-            latency: Histogram::new_with_max(Self::LONGEST_US, 2).expect("2 digits are allowed"),
-            window_start: Instant::now(),
-            window_steps: 0,
-            steps_per_second: 0.0,
-            tally: Tally::default(),
-        }
-    }
-
-    fn note(&mut self, start: Instant, steps: u64) {
-        self.latency.saturating_record(start.elapsed().as_micros() as u64);
-        self.window_steps += steps;
-        let span = self.window_start.elapsed();
-        if span >= Self::WINDOW {
-            self.steps_per_second = self.window_steps as f64 / span.as_secs_f64();
-            self.window_start = Instant::now();
-            self.window_steps = 0;
-        }
-    }
-
-    /// The rate of the last full window, or of the present one where that says more.
-    fn steps_per_second(&self) -> f64 {
-        let span = self.window_start.elapsed();
-        if span >= Self::WINDOW || self.steps_per_second == 0.0 {
-            return self.window_steps as f64 / span.as_secs_f64().max(1e-3);
-        }
-        self.steps_per_second
-    }
 }
