@@ -44,7 +44,10 @@ fn the_contract_depends_on_neither_side() {
 
 #[test]
 fn the_server_never_depends_on_a_client() {
-    assert_free_of("trocar-server", &["trocar-client", "trocar-py", "pyo3"]);
+    assert_free_of(
+        "trocar-server",
+        &["trocar-client", "trocar-py", "pyo3", "trocar-network", "rten"],
+    );
 }
 
 #[test]

@@ -23,7 +23,6 @@ mod exit;
 mod inherited;
 mod load;
 mod logging;
-mod network;
 mod options;
 mod output;
 mod policy;

@@ -4,10 +4,12 @@ use std::path::Path;
 
 use clap::ValueEnum;
 use serde::Serialize;
+use trocar_network::{Network, Seen};
+use trocar_proto::TaskSpec;
 use trocar_server::sim::random::Rng;
+use trocar_server::{Env, Step, StepError};
 
 use crate::exit::Exit;
-use crate::network::{Network, Seen};
 
 /// Who chooses the actions.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum, Serialize)]
@@ -73,10 +75,46 @@ impl Chooser {
         }
         let path = Path::new(text);
         if path.extension().is_some_and(|extension| extension == "onnx") {
-            return Ok(Self::Network(Network::load(path)?));
+            return Ok(Self::Network(Network::load(path).map_err(unfit)?));
         }
         let allowed = "allowed are oracle, random, or the name of a file that ends in .onnx";
         Err(Exit::Usage(format!("--policy {text}: {allowed}")).into())
+    }
+
+    /// An error unless it can act in a task.
+    pub(crate) fn check(&self, spec: &TaskSpec) -> anyhow::Result<()> {
+        match self {
+            Self::Policy(_) => Ok(()),
+            Self::Network(network) => network.check(spec).map_err(unfit),
+        }
+    }
+
+    /// Plays the episode of `seed`. `after_step` is shown the environment after every step, and what came
+    /// of it: nothing where the simulation failed.
+    pub(crate) fn play(
+        &self,
+        env: &mut Env,
+        seed: u64,
+        mut after_step: impl FnMut(&Env, Option<Step>) -> anyhow::Result<()>,
+    ) -> anyhow::Result<()> {
+        let mut player = self.player(seed);
+        let spec = env.spec();
+        let [mut action, mut observation, mut achieved, mut desired] =
+            [spec.action_dim(), spec.observation_dim(), spec.goal_dim(), spec.goal_dim()]
+                .map(|dim| vec![0.0; dim]);
+        env.reset(Some(seed));
+        while !env.needs_reset() {
+            env.observe(&mut observation, &mut achieved, &mut desired);
+            let seen = Seen { observation: &observation, achieved: &achieved, desired: &desired };
+            player.act(&seen, &mut action, |action| env.expert(action))?;
+            let step = match env.step(&action) {
+                Ok(step) => Some(step),
+                Err(StepError::Simulation { .. }) => None,
+                Err(error) => return Err(error.into()),
+            };
+            after_step(env, step)?;
+        }
+        Ok(())
     }
 
     /// The same, for another thread.
@@ -99,6 +137,11 @@ impl Chooser {
     pub(crate) fn asks_expert(&self) -> bool {
         matches!(self, Self::Policy(policy) if policy.asks_expert())
     }
+}
+
+/// What is wrong with the file of a policy.
+fn unfit(error: trocar_network::Error) -> anyhow::Error {
+    Exit::Usage(format!("--policy {error}")).into()
 }
 
 impl std::fmt::Display for Chooser {

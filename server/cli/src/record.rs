@@ -13,10 +13,8 @@ use trocar_client::{CallError, Client, Code};
 use trocar_proto::snapshot::{self, Recipe};
 use trocar_server::env::recording::{EVERY, Recorder};
 use trocar_server::tasks::Registry;
-use trocar_server::{Env, StepError};
 
 use crate::exit::Exit;
-use crate::network::Seen;
 use crate::options::Given;
 use crate::policy::Chooser;
 
@@ -101,9 +99,7 @@ impl Record {
         let chosen = crate::options::for_tasks(&self.options.assignments(), &[spec])?;
         let (task, options) = chosen.into_iter().next().context("one task was chosen")?;
         let mut env = registry.make(&task, &options)?;
-        if let Chooser::Network(network) = &policy {
-            network.check(env.spec())?;
-        }
+        policy.check(env.spec())?;
         let count = self.episodes.unwrap_or(1);
         let (mut out, mut recorder) = (create(&self.out)?, Recorder::new(self.every));
         let progress = ProgressBar::new(count.into());
@@ -113,8 +109,8 @@ impl Record {
                 return Ok(k);
             }
             let seed = self.seed.wrapping_add(k.into());
-            episode(&mut env, &policy, seed, |env| match recorder.after_step(env) {
-                Some(part) => out.write_all(&part),
+            policy.play(&mut env, seed, |env, _| match recorder.after_step(env) {
+                Some(part) => Ok(out.write_all(&part)?),
                 None => Ok(()),
             })?;
             progress.inc(1);
@@ -169,32 +165,6 @@ impl Record {
         out.flush()?;
         Ok(ended + u32::from(last.is_some()))
     }
-}
-
-/// Plays one episode; `after_step` is shown the environment after every step.
-fn episode(
-    env: &mut Env,
-    policy: &Chooser,
-    seed: u64,
-    mut after_step: impl FnMut(&Env) -> std::io::Result<()>,
-) -> anyhow::Result<()> {
-    let mut player = policy.player(seed);
-    let spec = env.spec();
-    let [mut action, mut observation, mut achieved, mut desired] =
-        [spec.action_dim(), spec.observation_dim(), spec.goal_dim(), spec.goal_dim()]
-            .map(|dim| vec![0.0; dim]);
-    env.reset(Some(seed));
-    while !env.needs_reset() {
-        env.observe(&mut observation, &mut achieved, &mut desired);
-        let seen = Seen { observation: &observation, achieved: &achieved, desired: &desired };
-        player.act(&seen, &mut action, |action| env.expert(action))?;
-        match env.step(&action) {
-            Ok(_) | Err(StepError::Simulation { .. }) => {}
-            Err(error) => return Err(error.into()),
-        }
-        after_step(env)?;
-    }
-    Ok(())
 }
 
 fn create(path: &Path) -> anyhow::Result<BufWriter<File>> {

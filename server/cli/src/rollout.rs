@@ -211,9 +211,7 @@ impl Rollout {
         policy: &Chooser,
     ) -> anyhow::Result<Row> {
         let spec = place.spec(task, &options)?;
-        if let Chooser::Network(network) = policy {
-            network.check(&spec)?;
-        }
+        policy.check(&spec)?;
         let grasp = spec
             .options
             .iter()

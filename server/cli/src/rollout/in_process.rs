@@ -6,9 +6,8 @@ use std::thread;
 
 use indicatif::ProgressBar;
 use trocar_server::tasks::Registry;
-use trocar_server::{Env, StepError};
+use trocar_server::Env;
 
-use crate::network::Seen;
 use crate::policy::Chooser;
 
 use super::{Episode, Job};
@@ -48,22 +47,13 @@ pub(super) fn run(
 }
 
 fn episode(env: &mut Env, policy: &Chooser, seed: u64) -> anyhow::Result<Episode> {
-    let mut player = policy.player(seed);
-    let spec = env.spec();
-    let [mut action, mut observation, mut achieved, mut desired] =
-        [spec.action_dim(), spec.observation_dim(), spec.goal_dim(), spec.goal_dim()]
-            .map(|dim| vec![0.0; dim]);
     let mut episode = Episode::default();
-    env.reset(Some(seed));
-    while !env.needs_reset() {
-        env.observe(&mut observation, &mut achieved, &mut desired);
-        let seen = Seen { observation: &observation, achieved: &achieved, desired: &desired };
-        player.act(&seen, &mut action, |action| env.expert(action))?;
-        match env.step(&action) {
-            Ok(step) => episode.step(step.reward, step.is_success),
-            Err(StepError::Simulation { .. }) => episode.fail(),
-            Err(error) => return Err(error.into()),
+    policy.play(env, seed, |_, step| {
+        match step {
+            Some(step) => episode.step(step.reward, step.is_success),
+            None => episode.fail(),
         }
-    }
+        Ok(())
+    })?;
     Ok(episode)
 }

@@ -4,9 +4,9 @@ use std::collections::BTreeMap;
 
 use indicatif::ProgressBar;
 use trocar_client::{Autoreset, Client, Reply, SessionRequest};
+use trocar_network::Seen;
 
 use super::{Episode, Job};
-use crate::network::Seen;
 use crate::policy::Player;
 
 /// An episode under way in one environment.

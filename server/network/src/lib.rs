@@ -3,22 +3,42 @@
 //! Inputs have the names `observation`, `achieved_goal` and `desired_goal`, as many of them as the
 //! policy uses, and the shape (1, dimension); the first output is the action, (1, action dim).
 //! Elementary functions are those of the runtime, so bits may differ between kinds of processors.
+//!
+//! A crate of its own because the runtime takes minutes to compile into whatever calls it.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use anyhow::{Context, ensure};
 use rten::{Dimension, Model, NodeId, RunOptions, ThreadPool, ValueView};
 use trocar_proto::TaskSpec;
-
-use crate::exit::Exit;
 
 /// The field of the file's metadata that names the task.
 const TASK: &str = "trocar.task";
 
+/// Why a policy gives no action.
+#[derive(Debug, thiserror::Error)]
+pub enum Error {
+    /// The file can't be read, or holds nothing that acts in the task.
+    #[error("{}: {why}", path.display())]
+    Unfit {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong with it, and what is expected.
+        why: String,
+    },
+    /// Computing an action failed.
+    #[error("{}", path.display())]
+    Failed {
+        /// The file.
+        path: PathBuf,
+        /// What the runtime says.
+        source: Box<dyn std::error::Error + Send + Sync>,
+    },
+}
+
 /// A policy from a file.
 #[derive(Clone)]
-pub(crate) struct Network {
+pub struct Network {
     path: PathBuf,
     model: Arc<Model>,
     inputs: Vec<(NodeId, Part)>,
@@ -29,10 +49,13 @@ pub(crate) struct Network {
 
 /// What is seen of a state.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Seen<'a> {
-    pub(crate) observation: &'a [f32],
-    pub(crate) achieved: &'a [f32],
-    pub(crate) desired: &'a [f32],
+pub struct Seen<'a> {
+    /// What the arms and objects do, (observation dim).
+    pub observation: &'a [f32],
+    /// What is achieved, (goal dim).
+    pub achieved: &'a [f32],
+    /// What is to be achieved, (goal dim).
+    pub desired: &'a [f32],
 }
 
 /// A part of what is seen.
@@ -62,8 +85,8 @@ impl Part {
 
 impl Network {
     /// Reads a file.
-    pub(crate) fn load(path: &Path) -> anyhow::Result<Self> {
-        let unfit = |why: String| Exit::Usage(format!("--policy {}: {why}", path.display()));
+    pub fn load(path: &Path) -> Result<Self, Error> {
+        let unfit = |why| Error::Unfit { path: path.to_path_buf(), why };
         let model = Model::load_file(path).map_err(|error| unfit(error.to_string()))?;
         let mut inputs = Vec::new();
         for id in model.input_ids() {
@@ -74,7 +97,7 @@ impl Network {
                 "desired_goal" => Part::Desired,
                 _ => {
                     let allowed = "observation, achieved_goal and desired_goal";
-                    return Err(unfit(format!("input {name:?}; allowed are {allowed}")).into());
+                    return Err(unfit(format!("input {name:?}; allowed are {allowed}")));
                 }
             };
             inputs.push((*id, part));
@@ -85,25 +108,23 @@ impl Network {
     }
 
     /// The same policy, computed in a thread of its own.
-    pub(crate) fn twin(&self) -> Self {
+    pub fn twin(&self) -> Self {
         Self { options: options(), ..self.clone() }
     }
 
     /// The file.
-    pub(crate) fn path(&self) -> &Path {
+    pub fn path(&self) -> &Path {
         &self.path
     }
 
     /// The task that it was trained for, if the file says so.
-    pub(crate) fn task(&self) -> Option<&str> {
+    pub fn task(&self) -> Option<&str> {
         self.model.metadata().get(TASK)
     }
 
     /// An error unless it can act in a task.
-    pub(crate) fn check(&self, spec: &TaskSpec) -> anyhow::Result<()> {
-        let unfit = |why: String| {
-            Err(Exit::Usage(format!("--policy {}: {why}", self.path.display())).into())
-        };
+    pub fn check(&self, spec: &TaskSpec) -> Result<(), Error> {
+        let unfit = |why| Err(Error::Unfit { path: self.path.clone(), why });
         if let Some(task) = self.task().filter(|task| *task != spec.id) {
             return unfit(format!("it was trained for {task}, not for {}", spec.id));
         }
@@ -119,26 +140,29 @@ impl Network {
         Ok(())
     }
 
-    /// Writes the action that it chooses.
-    pub(crate) fn act(&self, seen: &Seen<'_>, action: &mut [f32]) -> anyhow::Result<()> {
-        let inputs = self.inputs.iter().map(|(id, part)| {
-            let numbers = part.of(seen);
-            Ok((*id, ValueView::from_shape([1, numbers.len()], numbers)?.into()))
-        });
-        let inputs = inputs.collect::<anyhow::Result<Vec<_>>>()?;
-        let [output] = self
-            .model
-            .run_n(inputs, [self.output], Some(self.options.clone()))
-            .with_context(|| self.path.display().to_string())?;
-        let ([rows, columns], numbers) = output.into_shape_vec::<f32, 2>()?;
-        ensure!(
-            rows == 1 && columns == action.len(),
-            "{}: its action has the shape ({rows}, {columns}); expected (1, {})",
-            self.path.display(),
-            action.len()
-        );
+    /// Writes the action that it chooses, (action dim).
+    pub fn act(&self, seen: &Seen<'_>, action: &mut [f32]) -> Result<(), Error> {
+        let (shape, numbers) =
+            self.run(seen).map_err(|source| Error::Failed { path: self.path.clone(), source })?;
+        if shape != [1, action.len()] {
+            let why = format!("its action has the shape {shape:?}; expected [1, {}]", action.len());
+            return Err(Error::Unfit { path: self.path.clone(), why });
+        }
         action.copy_from_slice(&numbers);
         Ok(())
+    }
+
+    fn run(
+        &self,
+        seen: &Seen<'_>,
+    ) -> Result<([usize; 2], Vec<f32>), Box<dyn std::error::Error + Send + Sync>> {
+        let mut inputs = Vec::with_capacity(self.inputs.len());
+        for (id, part) in &self.inputs {
+            let numbers = part.of(seen);
+            inputs.push((*id, ValueView::from_shape([1, numbers.len()], numbers)?.into()));
+        }
+        let [output] = self.model.run_n(inputs, [self.output], Some(self.options.clone()))?;
+        Ok(output.into_shape_vec::<f32, 2>()?)
     }
 }
 
