@@ -359,8 +359,8 @@ impl Instrument {
                 let most = YAW * deflection;
                 let aside =
                     if crushes { aside } else { f64::clamp(0.0, aside - most, aside + most) };
-                world.turn_hinged(&fingers[0], opening + aside);
-                world.turn_hinged(&fingers[1], opening - aside);
+                world.turn_hinged(&fingers[0], left, opening + aside);
+                world.turn_hinged(&fingers[1], right, opening - aside);
             }
         }
         if let Some((object, _)) = self.tied {

@@ -7,8 +7,8 @@
 use nalgebra::{Unit, Vector3};
 use rapier3d::math::Vector as EngineVector;
 use rapier3d::prelude::{
-    ActiveHooks, Group, ImpulseJointHandle, InteractionGroups, InteractionTestMode, MassProperties,
-    MotorModel, RevoluteJointBuilder, RigidBodyBuilder,
+    ActiveHooks, Group, ImpulseJointHandle, InteractionGroups, InteractionTestMode, JointAxesMask,
+    JointAxis, MassProperties, MotorModel, RevoluteJointBuilder, RigidBodyBuilder,
 };
 
 use super::{BodyId, Part, World, collider};
@@ -20,6 +20,10 @@ const CONDITIONING: f64 = 100.0;
 /// Stiffness of the motor per inertia, 1/s²: its frequency is about half the rate of the solver's
 /// iterations over 2π.
 const STIFFNESS: f64 = 1e6;
+
+/// From where on the solver looks at a limit, rad: the engine does so always, at a seventh of what a hinge
+/// costs, and nothing turns a finger by as much within a substep.
+const NEAR_LIMIT: f64 = 0.15;
 
 /// Contacts of hinged bodies are computed afresh in every substep. The engine keeps those of bodies
 /// that hardly move against each other as they were *in the world* until both have turned by 11°; a
@@ -126,11 +130,15 @@ impl World {
         body.set_angvel(EngineVector::new(rate.x as f32, rate.y as f32, rate.z as f32), false);
     }
 
-    /// The angle to which the motor of a hinged body turns it, rad.
-    pub fn turn_hinged(&mut self, hinged: &HingedId, target: f64) {
-        let joint = self.impulse_joints.get_mut(hinged.joint, false).expect("joints stay");
-        let axis = rapier3d::prelude::JointAxis::AngX;
-        joint.data.set_motor_position(axis, target as f32, STIFFNESS as f32, DAMPING as f32);
+    /// The angle to which the motor of a hinged body turns it, from the angle where it is, rad.
+    pub fn turn_hinged(&mut self, hinged: &HingedId, angle: f64, target: f64) {
+        let joint =
+            &mut self.impulse_joints.get_mut(hinged.joint, false).expect("joints stay").data;
+        joint.set_motor_position(JointAxis::AngX, target as f32, STIFFNESS as f32, DAMPING as f32);
+        let limits = joint.limits[JointAxis::AngX as usize];
+        let [least, most] = [limits.min, limits.max].map(f64::from);
+        let is_near = angle < least + NEAR_LIMIT || angle > most - NEAR_LIMIT;
+        joint.limit_axes.set(JointAxesMask::ANG_X, is_near);
     }
 
     /// How far a hinged body is turned, rad.
