@@ -218,6 +218,24 @@ fn assert_shows(frame: &Frame, env: &Env) {
 }
 
 #[test]
+fn a_server_without_a_viewer_starts_one_when_it_is_asked_for() {
+    let logged = Logged::start(&["--threads", "2"]);
+    let client = logged.server.connect();
+    let mut session = logged.server.open(&SessionRequest::new("EcmReach-v0").seed(3));
+    session.reset().unwrap();
+    let address = client.viewer().unwrap();
+    assert!(address.ip().is_loopback());
+    assert_eq!(logged.server.connect().viewer().unwrap(), address);
+    let mut page = Page::connect(&address.to_string());
+    let number = page.session();
+    page.watch(number, 0, "live");
+    // It was simulated before anybody asked.
+    session.step(&[0.0; 3]).unwrap();
+    let (frame, _) = page.frame();
+    assert_eq!((frame.seed, frame.steps), (3, 1));
+}
+
+#[test]
 fn frames_are_a_faithful_copy_of_the_scene() {
     let theatre = Theatre::open();
     let request = SessionRequest::new("NeedlePick-v0").envs(2).seed(5);

@@ -124,6 +124,11 @@ impl Client {
         py.import("json")?.call_method1("loads", (json,))
     }
 
+    /// Where the server's live viewer is, as "address:port"; it is started where there is none.
+    fn viewer(&self, py: Python<'_>) -> PyResult<String> {
+        Ok(self.call(py, trocar_client::Client::viewer)?.to_string())
+    }
+
     /// Ends the server, for all of its clients.
     fn shut_down(&self, py: Python<'_>) -> PyResult<()> {
         self.call(py, trocar_client::Client::shut_down)

@@ -1,5 +1,6 @@
 //! The connection to a server.
 
+use std::net::SocketAddr;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
@@ -191,6 +192,14 @@ impl Client {
     pub fn recorded(&self, session: u64) -> Result<(Vec<u8>, u64), CallError> {
         match self.call(&ControlRequest::Recorded { session })? {
             ControlReply::Recorded { bytes, lost } => Ok((bytes, lost)),
+            other => Err(unexpected(&other)),
+        }
+    }
+
+    /// Where the server's live viewer is, a page over HTTP; it is started where there is none.
+    pub fn viewer(&self) -> Result<SocketAddr, CallError> {
+        match self.call(&ControlRequest::Viewer)? {
+            ControlReply::Viewer(address) => Ok(address),
             other => Err(unexpected(&other)),
         }
     }

@@ -1,5 +1,7 @@
 //! Rare messages: hello, tasks, sessions, status. Encoded with serde and bincode.
 
+use std::net::SocketAddr;
+
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
@@ -84,6 +86,8 @@ pub enum ControlRequest {
         /// Which session.
         session: u64,
     },
+    /// Asks where the live viewer is; where there is none, one is started at a free port of 127.0.0.1.
+    Viewer,
 }
 
 impl ControlRequest {
@@ -102,6 +106,7 @@ impl ControlRequest {
             Self::ImportSnapshot { .. } => 20,
             Self::Record { .. } => 21,
             Self::Recorded { .. } => 22,
+            Self::Viewer => 23,
         }
     }
 }
@@ -135,6 +140,8 @@ pub enum ControlReply {
         /// States that are missing since nobody fetched the earlier ones in time.
         lost: u64,
     },
+    /// To [`ControlRequest::Viewer`]: where its page is served over HTTP.
+    Viewer(SocketAddr),
 }
 
 /// Who a client is.

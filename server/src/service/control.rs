@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 use std::collections::btree_map::Entry;
+use std::net::{Ipv4Addr, SocketAddr};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
@@ -22,7 +23,7 @@ use super::scheduler::Scheduler;
 use super::session::{self, Account};
 use super::store::Ledger;
 use super::witness::Failures;
-use super::{ServeError, ServerConfig, StopSignal};
+use super::{ServeError, ServerConfig, StopSignal, internal};
 use crate::tasks::Registry;
 use crate::view::View;
 use crate::view::source::About;
@@ -48,9 +49,10 @@ pub(super) fn run(
     });
     let exporter = exporter.transpose()?;
     let desk = Desk::new(Arc::clone(&registry), config, epoch);
-    let gallery = config.view.map(|_| Arc::new(Gallery::new(about(&desk))));
-    let view = config.view.zip(gallery.clone()).map(|(address, gallery)| {
-        View::start(address, gallery).map_err(|source| ServeError::View { address, source })
+    let gallery = Arc::new(Gallery::new(about(&desk)));
+    let view = config.view.map(|address| {
+        View::start(address, Arc::clone(&gallery) as _)
+            .map_err(|source| ServeError::View { address, source })
     });
     let view = view.transpose()?;
     let mut host = Host {
@@ -72,6 +74,7 @@ pub(super) fn run(
         sessions: BTreeMap::new(),
         ending: Vec::new(),
         opened: 0,
+        view,
         started: Instant::now(),
         stop: stop.clone(),
     };
@@ -79,7 +82,7 @@ pub(super) fn run(
     let mut looked = Instant::now();
     ready();
     let metrics = exporter.as_ref().map(|exporter| tracing::field::display(exporter.address));
-    let seen = view.as_ref().map(|view| tracing::field::display(view.address()));
+    let seen = host.view.as_ref().map(|view| tracing::field::display(view.address()));
     let (name, pid, threads) = (&config.name, std::process::id(), config.threads);
     tracing::info!(%name, pid, threads, metrics, view = seen, "serving");
     while !stop.is_set() {
@@ -108,7 +111,8 @@ pub(super) fn run(
 /// The server, as its viewer names it.
 fn about(desk: &Desk) -> About {
     let info = desk.info();
-    About { name: info.name.clone(), pid: info.pid, version: env!("CARGO_PKG_VERSION") }
+    let version = env!("CARGO_PKG_VERSION");
+    About { name: info.name.clone(), pid: info.pid, version, recording: false }
 }
 
 /// The sessions, and what is needed to open more.
@@ -127,6 +131,8 @@ struct Host {
     /// Sessions that were closed and whose threads have not ended yet, or not been joined.
     ending: Vec<SessionHandle>,
     opened: u64,
+    /// The live viewer, from when somebody asked for it.
+    view: Option<View>,
     started: Instant,
     stop: StopSignal,
 }
@@ -190,6 +196,9 @@ impl Host {
                 })
             }
             Answer::Status => ControlReply::Status(self.status()),
+            Answer::Viewer => {
+                self.viewer().map_or_else(ControlReply::Refused, ControlReply::Viewer)
+            }
             Answer::Shutdown => {
                 // A second time would be an order to hurry.
                 if !self.stop.is_set() {
@@ -352,6 +361,18 @@ impl Host {
         meter.sessions.set(self.sessions.len() as i64);
         meter.envs.set(self.sessions.values().map(|session| i64::from(session.envs())).sum());
         meter.memory.set(self.used().total() as i64);
+    }
+
+    /// Where the viewer is, after it was started if need be.
+    fn viewer(&mut self) -> Result<SocketAddr, Rejection> {
+        if let Some(view) = &self.view {
+            return Ok(view.address());
+        }
+        let address = (Ipv4Addr::LOCALHOST, 0).into();
+        let view = View::start(address, Arc::clone(&self.ground.gallery) as _);
+        let view = view.map_err(internal("viewer"))?;
+        tracing::info!(view = %view.address(), "the viewer was asked for");
+        Ok(self.view.insert(view).address())
     }
 
     fn status(&self) -> ServerStatus {

@@ -81,6 +81,8 @@ pub enum Answer {
     },
     /// Say who is connected.
     Status,
+    /// Say where the live viewer is.
+    Viewer,
     /// End the server.
     Shutdown,
 }
@@ -285,6 +287,7 @@ impl Desk {
             }
             ControlRequest::Recorded { session } => Answer::Recorded { session },
             ControlRequest::Status => Answer::Status,
+            ControlRequest::Viewer => Answer::Viewer,
             ControlRequest::Shutdown => Answer::Shutdown,
         })
     }

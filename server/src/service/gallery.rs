@@ -247,15 +247,7 @@ impl Tap {
     /// Puts the environment as it is into the window; false where that could not be.
     fn put(&mut self, env: &Env) -> bool {
         let start = Instant::now();
-        let moment = Moment {
-            scene: env.scene(),
-            contacts: env.world().contacts().collect(),
-            seed: env.seed(),
-            episode: env.episode(),
-            steps: env.steps(),
-            stage: env.stage(),
-            marks: std::mem::take(&mut self.marks),
-        };
+        let moment = Moment::of(env, std::mem::take(&mut self.marks));
         let is_put = self.window.put(moment);
         self.spent += start.elapsed();
         is_put

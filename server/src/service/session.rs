@@ -17,7 +17,7 @@ use trocar_proto::{Code, Rejection};
 
 use super::batch::{self, Batch, Deed};
 use super::desk::{self, Footprint};
-use super::gallery::{Exhibit, Gallery, Slot};
+use super::gallery::{Gallery, Slot};
 use super::handle::{Nature, Pace, SessionHandle, Shared};
 use super::internal;
 use super::meter::{Meter, TaskMeter};
@@ -43,7 +43,7 @@ pub(super) struct Ground {
     /// Where failures are recorded, if they are.
     pub(super) failures: Option<Failures>,
     /// Where sessions show themselves, if anybody may look.
-    pub(super) gallery: Option<Arc<Gallery>>,
+    pub(super) gallery: Arc<Gallery>,
 }
 
 /// What all sessions of a client have together.
@@ -213,8 +213,7 @@ impl Session {
         let language = client.language.as_str();
         tracing::info!(session = id, pid, language, task, envs, "session opened");
         self.ground.meter.opened();
-        let show = |gallery: &Arc<Gallery>| gallery.exhibit(id, Arc::clone(&self.shared));
-        let exhibit: Option<Exhibit> = self.ground.gallery.as_ref().map(show);
+        let exhibit = self.ground.gallery.exhibit(id, Arc::clone(&self.shared));
         let steps = self.answer_all();
         drop(exhibit);
         let reason = self.shared.reason.get().copied().unwrap_or("idle");
@@ -332,9 +331,7 @@ impl Session {
         if asked.kind == kind::RESET {
             return 0;
         }
-        if self.ground.gallery.is_some() {
-            self.tally(reply, rows);
-        }
+        self.tally(reply, rows);
         let steps = rows as u64 - if self.next_step { begun } else { 0 };
         self.meter.steps.inc_by(steps);
         self.meter.stepped(time);
