@@ -188,6 +188,12 @@ class Connection:
         """Draws an environment: ``rgb_array`` or ``depth_array``."""
         return self._try(lambda session: session.render(env_id, mode == "depth_array"))
 
+    def viewer(self) -> tuple[str, int]:
+        """Where the session is in the server's live viewer, which this starts, and its number."""
+        client = self._client or connect(self._server)
+        session = self._try(lambda session: session.id)
+        return f"http://{client.viewer()}/#session={session}&env=0", session
+
     def fork(
         self, sources: NDArray[np.uint32], env_ids: NDArray[np.uint32] | None = None
     ) -> _trocar.Reply:

@@ -148,18 +148,24 @@ def check_seed(seed: Any, field: str = "seed") -> int:
     return number
 
 
-RENDER_MODES = ("rgb_array", "depth_array")
+PICTURES = ("rgb_array", "depth_array")
+"""Render modes that give pictures."""
+
+RENDER_MODES = ("human", *PICTURES)
 """What ``render_mode`` may be, besides ``None``."""
 
 
 def view(mode: str | None, options: Mapping[str, Any] | None) -> dict[str, Any] | None:
-    """How a session is to draw its environments; ``None`` where nothing will be rendered."""
+    """How a session is to draw its environments; ``None`` where it need not."""
     if mode is not None and mode not in RENDER_MODES:
         allowed = f"allowed are None, {', '.join(map(repr, RENDER_MODES))}"
         raise refuse(UnknownRenderMode, "render_mode", mode, allowed)
-    if options and mode is None:
-        raise refuse(InvalidOption, "render_options", dict(options), "they need a render_mode")
-    return None if mode is None else dict(options or {})
+    if mode in PICTURES:
+        return dict(options or {})
+    if options:
+        allowed = f"they need render_mode {' or '.join(map(repr, PICTURES))}"
+        raise refuse(InvalidOption, "render_options", dict(options), allowed)
+    return None
 
 
 def render_fps(spec: _trocar.TaskSpec) -> int:

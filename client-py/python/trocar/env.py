@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from trocar import _trocar
 from trocar._connection import Connection
 from trocar._goal import (
+    PICTURES,
     RENDER_MODES,
     GoalFunctions,
     Observation,
@@ -24,6 +25,7 @@ from trocar._goal import (
     shown,
     view,
 )
+from trocar._window import Window
 from trocar.errors import InvalidOption, ResetNeeded, refuse
 from trocar.snapshot import Snapshot
 
@@ -75,7 +77,9 @@ class TrocarEnv(GoalFunctions, gym.Env[Observation, NDArray[np.float32]]):
         Args:
             task: Task id without namespace, e.g. ``NeedleReach-v0``.
             server: Name of the server; ``None`` for ``$TROCAR_SERVER``, else a private one.
-            render_mode: What :meth:`render` gives: ``rgb_array``, ``depth_array`` or ``None``.
+            render_mode: What :meth:`render` gives: ``rgb_array``, ``depth_array`` or ``None``; or
+                ``human``, which opens the live viewer in a browser and steps no faster than
+                life. Without a display it logs where the viewer is, and does not wait.
             render_options: How :meth:`render` draws: ``image_size`` (H, W; 480 by 640), ``camera``
                 (``overview``, ``endoscope``, ``stereo`` with one picture above the other,
                 ``placed``), and ``camera_eye``, ``camera_target``, ``camera_view`` of a placed one.
@@ -94,6 +98,7 @@ class TrocarEnv(GoalFunctions, gym.Env[Observation, NDArray[np.float32]]):
         wanted = view(render_mode, render_options)
         self.render_mode = render_mode
         self._copy = copy
+        self._window: Window | None = None
         self._expert_action: NDArray[np.float32] | None = None
         self._connection = Connection(
             task,
@@ -106,6 +111,8 @@ class TrocarEnv(GoalFunctions, gym.Env[Observation, NDArray[np.float32]]):
             reconnect=reconnect,
             shown=self._begun,
         )
+        if render_mode == "human":
+            self._window = Window(self.task_spec.seconds_per_step)
         fps = {"render_fps": render_fps(self.task_spec)}
         self.metadata = {**type(self).metadata, **fps}  # type: ignore[misc]
         self.action_space = action_space(self.task_spec)
@@ -127,7 +134,10 @@ class TrocarEnv(GoalFunctions, gym.Env[Observation, NDArray[np.float32]]):
             seed = check_seed(seed)
             seeds = np.array([seed], np.uint64)
         super().reset(seed=seed)
-        return self._begun(self._connection.reset(None, seeds))
+        begun = self._begun(self._connection.reset(None, seeds))
+        if self._window is not None:
+            self._window.begin(self._connection)
+        return begun
 
     def _begun(self, reply: _trocar.Reply) -> tuple[Observation, dict[str, Any]]:
         """Observation and info of an episode that begins, or goes on elsewhere."""
@@ -141,6 +151,8 @@ class TrocarEnv(GoalFunctions, gym.Env[Observation, NDArray[np.float32]]):
         info: dict[str, Any] = {"is_success": success}
         if failed:
             info["simulation_failed"] = True
+        if self._window is not None:
+            self._window.step()
         return self._observation(reply, info), reward, terminated, truncated, info
 
     def snapshot(self) -> Snapshot:
@@ -186,9 +198,9 @@ class TrocarEnv(GoalFunctions, gym.Env[Observation, NDArray[np.float32]]):
 
         Returns:
             With ``rgb_array`` uint8 (H, W, 3); with ``depth_array`` float32 (H, W), the depth along
-            the optical axis in m; without a render mode ``None``.
+            the optical axis in m; otherwise ``None``.
         """
-        if self.render_mode is None:
+        if self.render_mode not in PICTURES:
             return None
         return self._connection.render(0, self.render_mode)
 

@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from trocar import _trocar
 from trocar._connection import Connection
 from trocar._goal import (
+    PICTURES,
     RENDER_MODES,
     GoalFunctions,
     Observation,
@@ -26,6 +27,7 @@ from trocar._goal import (
     shown,
     view,
 )
+from trocar._window import Window
 from trocar.errors import InvalidEnvIds, InvalidOption, InvalidRequest, ResetNeeded, refuse
 from trocar.snapshot import Snapshot
 
@@ -77,7 +79,8 @@ class TrocarVectorEnv(
             autoreset_mode: What happens to an environment whose episode ended: ``next_step``
                 (the next step resets it and ignores its action), ``same_step`` (the same step
                 resets it) or ``disabled`` (``reset`` with a ``reset_mask`` must).
-            render_mode: What :meth:`render` gives: ``rgb_array``, ``depth_array`` or ``None``.
+            render_mode: What :meth:`render` gives: ``rgb_array``, ``depth_array`` or ``None``; or
+                ``human``, which opens the live viewer in a browser, where there is a display.
             render_options: How :meth:`render` draws: ``image_size`` (H, W; 480 by 640), ``camera``
                 (``overview``, ``endoscope``, ``stereo`` with one picture above the other,
                 ``placed``), and ``camera_eye``, ``camera_target``, ``camera_view`` of a placed one.
@@ -118,6 +121,7 @@ class TrocarVectorEnv(
         self._latest = _Latest()
         self.num_envs = num_envs
         self.render_mode = render_mode
+        self._window = Window(0.0) if render_mode == "human" else None
         self.metadata = {
             "render_modes": list(RENDER_MODES),
             "render_fps": render_fps(spec),
@@ -165,6 +169,8 @@ class TrocarVectorEnv(
                 env_ids = np.flatnonzero(part).astype(np.uint32)
                 given = numbers[part] if seeded[part].all() else None
                 self._latest.part(self._connection.reset(env_ids, given))
+        if self._window is not None:
+            self._window.begin(self._connection)
         return self._beginning(chosen)
 
     def _begun(self, reply: _trocar.Reply) -> tuple[Observation, dict[str, Any]]:
@@ -276,7 +282,7 @@ class TrocarVectorEnv(
     def render(self) -> tuple[NDArray[Any], ...] | None:
         """A picture of the present state of each environment, as :meth:`TrocarEnv.render` gives."""
         mode = self.render_mode
-        if mode is None:
+        if mode not in PICTURES:
             return None
         return tuple(self._connection.render(env, mode) for env in range(self.num_envs))
 
