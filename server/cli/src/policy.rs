@@ -75,7 +75,7 @@ impl Chooser {
         }
         let path = Path::new(text);
         if path.extension().is_some_and(|extension| extension == "onnx") {
-            return Ok(Self::Network(Network::load(path).map_err(unfit)?));
+            return Ok(Self::Network(Network::load(path).map_err(|error| unfit(&error))?));
         }
         let allowed = "allowed are oracle, random, or the name of a file that ends in .onnx";
         Err(Exit::Usage(format!("--policy {text}: {allowed}")).into())
@@ -85,7 +85,7 @@ impl Chooser {
     pub(crate) fn check(&self, spec: &TaskSpec) -> anyhow::Result<()> {
         match self {
             Self::Policy(_) => Ok(()),
-            Self::Network(network) => network.check(spec).map_err(unfit),
+            Self::Network(network) => network.check(spec).map_err(|error| unfit(&error)),
         }
     }
 
@@ -140,7 +140,7 @@ impl Chooser {
 }
 
 /// What is wrong with the file of a policy.
-fn unfit(error: trocar_network::Error) -> anyhow::Error {
+fn unfit(error: &trocar_network::Error) -> anyhow::Error {
     Exit::Usage(format!("--policy {error}")).into()
 }
 

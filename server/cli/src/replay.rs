@@ -1,17 +1,24 @@
 //! `trocar replay`: plays recordings again, and compares every state that was recorded, bit by bit.
 
-use std::path::PathBuf;
+use std::net::SocketAddr;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::time::Duration;
 
 use anyhow::Context;
 use clap::Args;
 use serde::Serialize;
 use trocar_server::env::recording::{self, Course, Replay as Replaying};
 use trocar_server::render::Scene;
+use trocar_server::service::StopSignal;
 use trocar_server::tasks::Registry;
+use trocar_server::view::View;
+use trocar_server::view::reel::Reel;
 
 use crate::output;
 use crate::render::image::{self, Image};
 use crate::render::look::{Format, GAP, Look};
+use crate::serve::parse_address;
 
 /// Play a recording again, compare its bits, draw it.
 #[derive(Debug, Args)]
@@ -20,6 +27,7 @@ Examples:
   trocar replay pick.trocar                               what happened, and whether it is still the same
   trocar replay pick.trocar --out pick.gif --camera endoscope
   trocar replay pick.trocar --episode 2 --out third.png --moments 6
+  trocar replay pick.trocar --view 8080                   in the browser, with a slider for the time
   trocar replay --json ~/.local/state/trocar/failures/*.trocar
 
 Where the bits of a state are not those that were recorded, it says which and fails. With --json, an episode a
@@ -39,6 +47,9 @@ pub(crate) struct Replay {
     moments: u32,
     #[command(flatten)]
     look: Look,
+    /// Serve a page that plays them, until Ctrl-C, at this address: a port of 127.0.0.1, or ADDRESS:PORT
+    #[arg(long, value_name = "ADDR", value_parser = parse_address)]
+    view: Option<SocketAddr>,
     /// One JSON object per episode and line, on stdout
     #[arg(long)]
     json: bool,
@@ -68,14 +79,17 @@ impl Replay {
             ["file", "episode", "task", "seed", "steps", "snapshots", "return", "ends in success"];
         let mut table = output::table(&header, 3);
         let (mut rows, mut frames, mut seconds) = (vec![], vec![], 0.1);
+        let mut watched = vec![];
         for file in &self.files {
             let name = file.display().to_string();
             let bytes = std::fs::read(file).with_context(|| format!("reading {name}"))?;
             let courses = recording::read(&bytes).with_context(|| name.clone())?;
             let chosen = courses.into_iter().enumerate();
-            for (index, course) in
-                chosen.filter(|(index, _)| self.episode.is_none_or(|wanted| wanted == *index))
-            {
+            let chosen: Vec<_> = chosen
+                .filter(|(index, _)| self.episode.is_none_or(|wanted| wanted == *index))
+                .collect();
+            watched.push((short(file), chosen.iter().map(|(_, course)| course.clone()).collect()));
+            for (index, course) in chosen {
                 let (row, scenes) = play(&registry, &name, index, course, format.is_some())
                     .with_context(|| name.clone())?;
                 if self.json {
@@ -123,8 +137,29 @@ impl Replay {
             }
             eprintln!("wrote {}", path.display());
         }
-        Ok(())
+        match self.view {
+            Some(address) => serve(address, Reel::new(registry, watched)?),
+            None => Ok(()),
+        }
     }
+}
+
+/// A file's name without its folders.
+fn short(file: &Path) -> String {
+    file.file_name().unwrap_or(file.as_os_str()).to_string_lossy().into_owned()
+}
+
+/// Serves the page that plays recordings until Ctrl-C.
+fn serve(address: SocketAddr, reel: Reel) -> anyhow::Result<()> {
+    let view = View::start(address, Arc::new(reel)).with_context(|| format!("--view {address}"))?;
+    eprintln!("watch it at http://{}/; Ctrl-C ends it", view.address());
+    let stop = StopSignal::default();
+    let on_signal = stop.clone();
+    ctrlc::set_handler(move || on_signal.set())?;
+    while !stop.is_set() {
+        std::thread::sleep(Duration::from_millis(20));
+    }
+    Ok(())
 }
 
 /// Plays an episode; with all that there is to see if `is_drawn`.

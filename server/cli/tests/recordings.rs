@@ -2,10 +2,13 @@
 
 #![allow(clippy::unwrap_used)] // a panic is a test's report
 
+use std::io::{BufRead, BufReader, Read, Write};
+use std::net::TcpStream;
 use std::path::PathBuf;
 use std::process::{Command, Output, Stdio};
 use std::time::{Duration, Instant};
 
+use rustix::process::{Pid, Signal};
 use serde_json::Value;
 use trocar_client::{Autoreset, Client, Options, SessionRequest};
 
@@ -70,9 +73,28 @@ fn a_rollout_is_recorded_and_played_again() {
     let draw = [&["replay", file.path(), "--out", sheet.path()], &small[..]].concat();
     assert!(run(&draw).status.success());
     // Two cameras beside each other, three moments, gaps of 4 pixels.
-    let decoder =
-        png::Decoder::new(std::io::BufReader::new(std::fs::File::open(&sheet.0).unwrap()));
+    let decoder = png::Decoder::new(BufReader::new(std::fs::File::open(&sheet.0).unwrap()));
     assert_eq!(decoder.read_info().unwrap().info().width, 3 * 64 + 2 * 4);
+}
+
+#[test]
+fn a_recording_is_served_to_a_browser_until_somebody_ends_it() {
+    let file = Scratch::new("watched.trocar");
+    let record = ["record", "--task", "EcmReach-v0", "--out", file.path()];
+    assert!(run(&record).status.success());
+    let mut replay = trocar(&["replay", file.path(), "--view", "0"]);
+    let mut replay = replay.stderr(Stdio::piped()).spawn().unwrap();
+    let mut said = BufReader::new(replay.stderr.take().unwrap()).lines().map(Result::unwrap);
+    let line = said.find(|line| line.contains("watch it at")).unwrap();
+    let address = line.split("http://").nth(1).unwrap().split('/').next().unwrap();
+    let mut stream = TcpStream::connect(address).unwrap();
+    write!(stream, "GET / HTTP/1.1\r\nHost: {address}\r\nConnection: close\r\n\r\n").unwrap();
+    let mut page = String::new();
+    stream.read_to_string(&mut page).unwrap();
+    assert!(page.starts_with("HTTP/1.1 200") && page.contains("<title>Trocar</title>"));
+    let pid = Pid::from_child(&replay);
+    rustix::process::kill_process(pid, Signal::INT).unwrap();
+    assert!(replay.wait().unwrap().success());
 }
 
 #[test]

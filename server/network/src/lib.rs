@@ -108,6 +108,7 @@ impl Network {
     }
 
     /// The same policy, computed in a thread of its own.
+    #[must_use]
     pub fn twin(&self) -> Self {
         Self { options: options(), ..self.clone() }
     }

@@ -9,7 +9,7 @@
 use std::collections::BTreeMap;
 
 use trocar_proto::snapshot::{self, Recipe};
-use trocar_proto::{Code, Rejection};
+use trocar_proto::{Code, Options, Rejection};
 
 use super::{Env, Step};
 use crate::error::StepError;
@@ -84,6 +84,11 @@ impl Course {
     /// Number of the episode under that seed.
     pub fn episode(&self) -> u64 {
         self.recipe.episode
+    }
+
+    /// Its options.
+    pub fn options(&self) -> &Options {
+        &self.recipe.options
     }
 
     /// How many of its states are compared.
@@ -202,8 +207,6 @@ impl Replay {
 
 #[cfg(test)]
 mod tests {
-    use trocar_proto::Options;
-
     use super::*;
 
     fn env() -> Env {

@@ -3,7 +3,8 @@
 //! | module | holds |
 //! |---|---|
 //! | [`mod@self`] | [`View`]: the server of the page |
-//! | [`source`] | what can be watched: a server's sessions, or a recording; windows |
+//! | [`source`] | what can be watched, and windows; a server's sessions are in `service/gallery.rs` |
+//! | [`reel`] | recordings |
 //! | [`message`] | what page and server say to each other |
 //! | `connection.rs` | one page that is connected |
 //! | `painter.rs` | draws the endoscope's picture |
@@ -17,6 +18,7 @@ mod connection;
 mod door;
 pub mod message;
 mod painter;
+pub mod reel;
 pub mod source;
 
 use std::io;

@@ -8,6 +8,7 @@ use serde::{Deserialize, Serialize};
 use tokio::sync::Notify;
 use trocar_proto::Stage;
 
+use crate::env::Env;
 use crate::render::Scene;
 use crate::sim::world::Contact;
 
@@ -33,6 +34,9 @@ pub struct About {
     pub pid: u32,
     /// Its version.
     pub version: &'static str,
+    /// It shows recordings: each is a session, each of its episodes an environment, shown from its beginning
+    /// to its end at once.
+    pub recording: bool,
 }
 
 /// A session, as the list shows it.
@@ -40,9 +44,9 @@ pub struct About {
 pub struct SessionCard {
     /// Its number.
     pub id: u64,
-    /// Its client's process.
+    /// Its client's process; 0 for a recording.
     pub pid: u32,
-    /// The language of its client.
+    /// The language of its client, or the name of the recording.
     pub language: String,
     /// Its task.
     pub task: String,
@@ -114,6 +118,21 @@ pub struct Moment {
     pub stage: Stage,
     /// The steps since the moment before, in order; the latest of them where there were many.
     pub marks: Vec<Mark>,
+}
+
+impl Moment {
+    /// An environment as it is, after the steps of `marks`.
+    pub fn of(env: &Env, marks: Vec<Mark>) -> Self {
+        Self {
+            scene: env.scene(),
+            contacts: env.world().contacts().collect(),
+            seed: env.seed(),
+            episode: env.episode(),
+            steps: env.steps(),
+            stage: env.stage(),
+            marks,
+        }
+    }
 }
 
 /// What a step gave.

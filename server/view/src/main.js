@@ -5,6 +5,7 @@ import { Link } from "./link.js";
 import { Player } from "./player.js";
 import { sessionCards } from "./sessions.js";
 import { showJaws } from "./jaws.js";
+import { Tape } from "./tape.js";
 import { Theatre } from "./theatre.js";
 
 const STAGES = ["reach", "approach", "pick", "lift", "carry", "hand over", "place"];
@@ -31,15 +32,36 @@ let wantsEndoscope = true;
 let hasPicture = false;
 let frames = 0;
 
-const player = new Player({
-  show: (frame, before, fraction) => theatre.show(frame, before, fraction),
-  arrived: readOut,
-  more: () => link.send("more"),
+const show = (frame, before, fraction) => theatre.show(frame, before, fraction);
+const arrived = (frame) => {
+  frame.marks.forEach((mark) => chart.add(mark));
+  readOut(frame);
+};
+const live = new Player({ show, arrived, more: () => link.send("more") });
+const tape = new Tape({
+  show,
+  arrived,
+  rewound(frames) {
+    chart.clear();
+    frames.forEach(({ marks }) => marks.forEach((mark) => chart.add(mark)));
+    readOut(frames.at(-1));
+  },
+  moved(at, last) {
+    element("slider").max = last;
+    element("slider").value = at;
+    showPause();
+  },
 });
+/** What plays: the tape where recordings are shown. */
+let player = live;
 
 const link = new Link({
-  hello({ name, pid, version }) {
+  hello({ name, pid, version, recording }) {
     document.body.dataset.link = "open";
+    player = recording ? tape : live;
+    for (const id of ["slider", "rewind"]) element(id).hidden = !recording;
+    element("pace").hidden = recording;
+    element("what").textContent = recording ? "episode" : "env";
     theatre.forget();
     if (pid !== serverPid) watched = null;
     [server, serverPid] = [name, pid];
@@ -54,6 +76,7 @@ const link = new Link({
     if (isFirst) {
       const wanted = fromAddress();
       if (!watched && list.some(({ id }) => id === wanted?.session)) watch(wanted.session, wanted.env);
+      else if (!watched && player === tape && list.length) watch(list[0].id, 0);
     }
     isFirst = false;
     showSessions();
@@ -106,7 +129,7 @@ function watch(session, env) {
     player.stepSeconds = card.seconds_per_step || 0.2;
     // Steps of one environment per second, over those of life.
     const haste = (card.steps_per_second / card.envs) * player.stepSeconds;
-    if (isOther) player.pace = haste > FAST ? "episodes" : "live";
+    if (isOther && player === live) player.pace = haste > FAST ? "episodes" : "live";
   }
   player.clear();
   hasPicture = false;
@@ -129,7 +152,8 @@ function fromAddress() {
 }
 
 function showSessions() {
-  sessionCards(element("sessions"), sessions, watched?.session, server, (id) => watch(id, 0));
+  const isTape = player === tape;
+  sessionCards(element("sessions"), sessions, { watched: watched?.session, server, isTape }, (id) => watch(id, 0));
   const card = sessions.find(({ id }) => id === watched?.session);
   const isEmpty = !watched && !hasScene;
   element("empty").hidden = !isEmpty;
@@ -147,7 +171,11 @@ function showSessions() {
   press("pace", "pace", player.pace);
   element("speed").hidden = player.pace === "live";
   element("speed").textContent = `${player.speed}×`.replace("0.25", "¼").replace("0.5", "½");
-  element("pause").textContent = player.paused ? "Go on" : "Pause";
+  showPause();
+}
+
+function showPause() {
+  element("pause").textContent = player.isOver ? "Again" : player.paused ? "Go on" : "Pause";
   element("pause").setAttribute("aria-pressed", player.paused);
 }
 
@@ -162,7 +190,6 @@ function readOut(frame) {
   frames += 1;
   hasScene = true;
   document.body.dataset.frames = frames;
-  frame.marks.forEach((mark) => chart.add(mark));
   const card = sessions.find(({ id }) => id === watched?.session);
   element("step").textContent = `${frame.steps}${card?.max_steps ? ` / ${card.max_steps}` : ""}`;
   element("seed").textContent = frame.episode > 0n ? `${frame.seed}, episode ${frame.episode}` : `${frame.seed}`;
@@ -201,6 +228,11 @@ function notify(kind = null, title = "", text = "") {
 
 const actions = {
   pause() {
+    if (player.isOver) {
+      player.paused = false;
+      player.seek(0);
+      return;
+    }
     player.paused = !player.paused;
     link.send({ pause: player.paused });
     showSessions();
@@ -222,6 +254,12 @@ const actions = {
     const at = SPEEDS.indexOf(player.speed) + step;
     player.speed = SPEEDS[Math.max(0, Math.min(SPEEDS.length - 1, at))];
     showSessions();
+  },
+  move(frames) {
+    if (player !== tape) return;
+    player.paused = true;
+    player.move(frames);
+    showPause();
   },
   camera(name) {
     if (!hasScene) return;
@@ -258,7 +296,9 @@ const KEYS = {
   1: () => actions.camera("overview"),
   2: () => actions.camera("close"),
   3: () => actions.camera("endoscope"),
-  l: () => actions.pace(),
+  l: () => player === live && actions.pace(),
+  ",": () => actions.move(-1),
+  ".": () => actions.move(1),
   "-": () => actions.speed(-1),
   "+": () => actions.speed(1),
   "=": () => actions.speed(1),
@@ -269,7 +309,7 @@ const KEYS = {
 };
 
 addEventListener("keydown", (event) => {
-  const isTyping = event.target instanceof HTMLInputElement;
+  const isTyping = event.target instanceof HTMLInputElement && event.target.type !== "range";
   if (isTyping || event.ctrlKey || event.metaKey || event.altKey || element("help").open) return;
   const act = KEYS[event.key.length === 1 ? event.key.toLowerCase() : event.key];
   if (!act) return;
@@ -278,6 +318,11 @@ addEventListener("keydown", (event) => {
 });
 
 element("pause").onclick = actions.pause;
+element("rewind").onclick = () => player.seek(0);
+element("slider").oninput = ({ target }) => {
+  player.paused = true;
+  player.seek(Number(target.value));
+};
 element("previous").onclick = () => actions.env(-1);
 element("next").onclick = () => actions.env(1);
 element("speed").onclick = () => actions.speed(player.speed === SPEEDS.at(-1) ? -SPEEDS.length : 1);

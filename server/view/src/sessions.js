@@ -2,12 +2,15 @@
 
 const whole = new Intl.NumberFormat("en", { maximumFractionDigits: 0 });
 
-/** Shows a card for each session, the one that is watched marked; `choose(id)` is called for a click. */
-export function sessionCards(list, sessions, watched, server, choose) {
+/**
+ * Shows a card for each session, or each recording (`isTape`), the one that is watched marked; `choose(id)` is
+ * called for a click.
+ */
+export function sessionCards(list, sessions, { watched, server, isTape }, choose) {
   const cards = new Map([...list.querySelectorAll(".session")].map((card) => [Number(card.dataset.id), card]));
   const shown = sessions.map((session) => {
     const card = cards.get(session.id) ?? newCard(session.id, choose);
-    fill(card, session);
+    (isTape ? fillTape : fill)(card, session);
     card.setAttribute("aria-current", session.id === watched);
     return card;
   });
@@ -43,6 +46,14 @@ function fill(card, session) {
   card.querySelector(".meter").style.visibility = rate === null ? "hidden" : "visible";
   card.querySelector(".meter i").style.width = `${100 * (rate ?? 0)}%`;
   card.title = `session ${session.id}: ${session.task}, ${whole.format(session.episodes)} episodes; success of the latest 100`;
+}
+
+function fillTape(card, { language, task, envs }) {
+  const put = (place, text) => (card.querySelector(place).textContent = text);
+  put("b", language);
+  put(".envs", task);
+  put(".speed", envs === 1 ? "1 episode" : `${whole.format(envs)} episodes`);
+  card.querySelector(".meter").style.visibility = "hidden";
 }
 
 function micros(time) {

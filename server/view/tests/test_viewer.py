@@ -86,7 +86,7 @@ TRACK = ("--task", "ActiveTrack-v0", "--envs", "2")
 #: Shows nothing but the theatre, so that pixels that change are the arm's.
 BARE = (
     "document.head.insertAdjacentHTML('beforeend',"
-    " '<style>main > :not(canvas) { display: none !important }</style>')"
+    " '<style>main > :not(canvas), #side > * { visibility: hidden !important }</style>')"
 )
 
 
@@ -102,9 +102,16 @@ def watch(browser: Chromium, server: Server, task: str) -> None:
     browser.wait_for("Number(document.body.dataset.frames) > 3")
 
 
+def stands_still(browser: Chromium) -> bool:
+    """Whether nothing changes in what a browser shows for a while."""
+    first = browser.picture()
+    time.sleep(0.5)
+    return changed(first, browser.picture()) < 20
+
+
 def test_it_lists_sessions_and_shows_a_moving_arm() -> None:
     """Tasks, rates, numbers, the endoscope, and pixels that change until the view is paused."""
-    with Server(PICK, TRACK) as server, Chromium() as browser:
+    with Server(PICK, TRACK) as server, Chromium(900, 600) as browser:
         browser.open(f"http://{server.address}/")
         browser.wait_for("document.querySelectorAll('.session').length === 2")
         text = browser.run("document.querySelector('#sessions').innerText")
@@ -129,10 +136,11 @@ def test_it_lists_sessions_and_shows_a_moving_arm() -> None:
         first = browser.picture()
         browser.wait("the arm moves", lambda: changed(first, browser.picture()) > 300)
         browser.press(" ")
-        time.sleep(0.5)
+        # The camera may still be on its way.
+        browser.wait("the picture stands still", lambda: stands_still(browser))
         frames = browser.run("document.body.dataset.frames")
         still = browser.picture()
-        steps = "document.querySelector('[data-wanted] .speed').innerText"
+        steps = "document.querySelector('[data-wanted] .speed').textContent"
         time.sleep(1.5)
         assert browser.run("document.body.dataset.frames") == frames
         assert changed(still, browser.picture()) < 20
@@ -209,6 +217,61 @@ def test_the_end_of_the_server_is_said_and_survived(
                 "document.querySelector('#sessions').innerText.includes('ActiveTrack')"
             )
             assert browser.run("document.querySelector('#notice').hidden")
+
+
+def test_a_recording_plays_and_the_slider_goes_anywhere_in_it() -> None:
+    """``trocar replay --view``: from its beginning to its end, again, and step by step."""
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "reach.trocar"
+        record = ("record", "--task", "NeedleReach-v0", "--episodes", "2", "--out", str(file))
+        subprocess.run([BINARY, *record], check=True, capture_output=True)
+        command = [BINARY, "replay", str(file), "--view", "0"]
+        with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as replay:
+            try:
+                assert replay.stderr is not None
+                line = next(line for line in replay.stderr if "watch it at" in line)
+                play(line.split()[3].rstrip(";"))
+            finally:
+                replay.send_signal(signal.SIGINT)
+        assert replay.returncode == 0
+
+
+def play(address: str) -> None:
+    """Plays the recording at an address in all ways that there are."""
+    step = "document.querySelector('#step').textContent"
+    with Chromium(900, 600) as browser:
+        browser.open(address)
+        browser.wait_for("document.querySelector('#slider')?.max === '50'")
+        assert "reach.trocar" in browser.run("document.querySelector('#sessions').innerText")
+        for _ in range(3):
+            browser.press("+")
+        browser.wait_for(f"{step} === '50 / 50'")
+        button = "document.querySelector('#pause').textContent"
+        assert browser.run(button) == "Again"
+        total = browser.run("document.querySelector('#return').textContent")
+        slide = "(at) => { const slider = document.querySelector('#slider');"
+        slide += " slider.value = at; slider.dispatchEvent(new Event('input')); }"
+        browser.run(f"({slide})(7)")
+        assert browser.run(step) == "7 / 50"
+        browser.press(".")
+        assert browser.run(step) == "8 / 50"
+        browser.press(",")
+        browser.press(",")
+        assert browser.run(step) == "6 / 50"
+        # What is shown differs from place to place, and is the same at the same place.
+        browser.run(BARE)
+        early = browser.picture()
+        browser.run(f"({slide})(30)")
+        assert changed(early, browser.picture()) > 300
+        browser.run(f"({slide})(6)")
+        assert changed(early, browser.picture()) < 20
+        # To the end again, with the same sum of rewards; then the other episode.
+        browser.press(" ")
+        browser.wait_for(f"{step} === '50 / 50'")
+        assert browser.run("document.querySelector('#return').textContent") == total
+        browser.press("ArrowRight")
+        browser.wait_for("document.querySelector('#seed').textContent === '1'")
+        assert browser.errors == []
 
 
 def test_it_works_in_narrow_windows() -> None:

@@ -25,9 +25,9 @@ pub(crate) struct Look {
     /// Look at this point: x, y, z, m
     #[arg(long, value_name = "X,Y,Z", value_parser = place::point, requires = "eye")]
     target: Option<[f64; 3]>,
-    /// With --eye: height of the view, degrees
+    /// With --eye: vertical field of view, degrees
     #[arg(long, default_value_t = 45.0, value_parser = place::angle)]
-    view: f64,
+    fov: f64,
     /// What is shown: rgb, depth, mask
     #[arg(long, value_enum, value_delimiter = ',', default_value = "rgb")]
     show: Vec<Layer>,
@@ -87,7 +87,7 @@ impl Look {
     pub(crate) fn picture(&self, scene: &Scene) -> anyhow::Result<Image> {
         let [width, height] = self.size;
         let cameras: Vec<Camera> = if let (Some(eye), Some(target)) = (self.eye, self.target) {
-            vec![place::towards(eye, target, self.view)?.camera(width, height)]
+            vec![place::towards(eye, target, self.fov)?.camera(width, height)]
         } else {
             let camera = |place: &Place| {
                 let camera = scene.camera(place.lens(), width, height);

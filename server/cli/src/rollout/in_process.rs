@@ -5,8 +5,8 @@ use std::sync::atomic::{AtomicU32, Ordering};
 use std::thread;
 
 use indicatif::ProgressBar;
-use trocar_server::tasks::Registry;
 use trocar_server::Env;
+use trocar_server::tasks::Registry;
 
 use crate::policy::Chooser;
 
