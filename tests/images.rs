@@ -1,9 +1,9 @@
 //! Pictures through a session: the bits of the environment in-process, for every camera and kind.
 
 use trocar_client::{Autoreset, Options, SessionRequest};
-use trocar_proto::spec::ImageKind;
 use trocar_proto::{Code, OptionValue};
-use trocar_server::{Env, Registry};
+use trocar_server::Registry;
+use trocar_server::env::Pictures;
 
 use crate::harness::Server;
 
@@ -16,30 +16,6 @@ fn options(kinds: &[&str], camera: &str) -> Options {
         .with("observation", words(kinds))
         .with("image_size", OptionValue::Numbers(SIZE.to_vec()))
         .with_text("camera", camera)
-}
-
-/// All pictures of an environment.
-#[derive(Debug, PartialEq)]
-struct Pictures {
-    rgb: Vec<u8>,
-    depth: Vec<f32>,
-    mask: Vec<i32>,
-    points: Vec<f32>,
-}
-
-impl Pictures {
-    fn of(env: &Env) -> Self {
-        let length = |kind: ImageKind| env.spec().pixels(kind) * kind.channels();
-        let [rgb, depth, mask, points] = ImageKind::ALL.map(length);
-        let mut all = Self {
-            rgb: vec![0; rgb],
-            depth: vec![0.0; depth],
-            mask: vec![0; mask],
-            points: vec![0.0; points],
-        };
-        env.show(&mut all.rgb, &mut all.depth, &mut all.mask, &mut all.points);
-        all
-    }
 }
 
 /// A row of an array of a reply.

@@ -41,6 +41,7 @@ pub mod recording;
 mod tests;
 
 pub(crate) use imaging::Imaging;
+pub use imaging::Pictures;
 
 pub(crate) use rebuild::{Identity, Rebuild};
 

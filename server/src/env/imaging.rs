@@ -4,6 +4,7 @@ use nalgebra::Vector3;
 use trocar_proto::spec::{ImageKind, ImageSpec};
 use trocar_proto::{Code, OptionValue, Options, Rejection};
 
+use super::Env;
 use crate::render::camera::extrinsics;
 use crate::render::{Camera, Canvas, Lens, Renderer, Scene, Software, Viewpoint};
 use crate::tasks::options;
@@ -32,7 +33,42 @@ impl Eye {
     }
 }
 
-/// The pictures of an environment.
+/// Room for the pictures of one environment, one view after the other; empty what is not asked for. Shapes as
+/// in [`trocar_proto::wire::ReplyLayout`].
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Pictures {
+    /// Red, green, blue.
+    pub rgb: Vec<u8>,
+    /// Depth along the optical axis, m.
+    pub depth: Vec<f32>,
+    /// Numbers of bodies.
+    pub mask: Vec<i32>,
+    /// Points in the world frame, m.
+    pub points: Vec<f32>,
+}
+
+impl Pictures {
+    /// What `env` looks like.
+    pub fn of(env: &Env) -> Self {
+        let length = |kind: ImageKind| env.spec().pixels(kind) * kind.channels();
+        let [rgb, depth, mask, points] = ImageKind::ALL.map(length);
+        let mut pictures = Self {
+            rgb: vec![0; rgb],
+            depth: vec![0.0; depth],
+            mask: vec![0; mask],
+            points: vec![0.0; points],
+        };
+        pictures.take(env);
+        pictures
+    }
+
+    /// Takes them again, of an environment of the same task and options.
+    pub fn take(&mut self, env: &Env) {
+        env.show(&mut self.rgb, &mut self.depth, &mut self.mask, &mut self.points);
+    }
+}
+
+/// How the pictures of an environment are drawn.
 #[derive(Debug, Clone)]
 pub(crate) struct Imaging {
     spec: ImageSpec,

@@ -4,7 +4,7 @@
 use std::sync::Barrier;
 use std::thread;
 
-use trocar_proto::spec::ImageKind;
+use trocar_server::env::Pictures;
 use trocar_server::tasks::Registry;
 use trocar_server::{Env, StepError};
 
@@ -18,28 +18,6 @@ struct Player {
     index: usize,
     action: Vec<f32>,
     pictures: Pictures,
-}
-
-/// Room for the pictures that the options ask for; none where they ask for none.
-#[derive(Clone)]
-struct Pictures {
-    rgb: Vec<u8>,
-    depth: Vec<f32>,
-    mask: Vec<i32>,
-    points: Vec<f32>,
-}
-
-impl Pictures {
-    fn of(env: &Env) -> Self {
-        let length = |kind: ImageKind| env.spec().pixels(kind) * kind.channels();
-        let [rgb, depth, mask, points] = ImageKind::ALL.map(length);
-        Self {
-            rgb: vec![0; rgb],
-            depth: vec![0.0; depth],
-            mask: vec![0; mask],
-            points: vec![0.0; points],
-        }
-    }
 }
 
 impl Player {
@@ -60,8 +38,7 @@ impl Player {
         if env.needs_reset() {
             env.reset(None);
         }
-        let Pictures { rgb, depth, mask, points } = pictures;
-        env.show(rgb, depth, mask, points);
+        pictures.take(env);
         Ok(())
     }
 }
