@@ -29,12 +29,13 @@ impl Place {
     }
 }
 
+/// Least distance of an eye from its target along an axis, m.
+const LEAST_DISTANCE: f64 = 1e-3;
+
 /// From one point (m) towards another; `view` is in degrees.
 pub(super) fn towards(eye: [f64; 3], target: [f64; 3], view: f64) -> anyhow::Result<Viewpoint> {
-    let aside = (eye[0] - target[0]).hypot(eye[1] - target[1]);
-    if aside < 1e-6 {
-        let text = "--eye must not be straight above or below --target".into();
-        return Err(Exit::Usage(text).into());
+    if eye.iter().zip(target).all(|(eye, target)| (eye - target).abs() < LEAST_DISTANCE) {
+        return Err(Exit::Usage("--eye must be 1 mm from --target at least".into()).into());
     }
     let viewpoint = Viewpoint::towards(eye, target, view.to_radians());
     Ok(Viewpoint { near: 0.005, ..viewpoint })
