@@ -21,8 +21,8 @@ const CONDITIONING: f64 = 100.0;
 /// iterations over 2π.
 const STIFFNESS: f64 = 1e6;
 
-/// From where on the solver looks at a limit, rad: the engine does so always, at a seventh of what a hinge
-/// costs, and nothing turns a finger by as much within a substep.
+/// Distance from a limit below which the solver has a row for it, rad: one of the seven rows of a hinge, which
+/// does nothing further away. Nothing turns a finger by as much within a substep.
 const NEAR_LIMIT: f64 = 0.15;
 
 /// Contacts of hinged bodies are computed afresh in every substep. The engine keeps those of bodies
