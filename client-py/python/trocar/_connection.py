@@ -188,11 +188,14 @@ class Connection:
         """Draws an environment: ``rgb_array`` or ``depth_array``."""
         return self._try(lambda session: session.render(env_id, mode == "depth_array"))
 
-    def viewer(self) -> tuple[str, int]:
-        """Where the session is in the server's live viewer, which this starts, and its number."""
+    def session_id(self) -> int:
+        """The number of the session, unique in a run of the server."""
+        return self._try(lambda session: session.id)
+
+    def viewer(self) -> str:
+        """Where the session is in the server's live viewer, which is started if need be."""
         client = self._client or connect(self._server)
-        session = self._try(lambda session: session.id)
-        return f"http://{client.viewer()}/#session={session}&env=0", session
+        return f"http://{client.viewer()}/#session={self.session_id()}&env=0"
 
     def fork(
         self, sources: NDArray[np.uint32], env_ids: NDArray[np.uint32] | None = None

@@ -28,10 +28,10 @@ class Window:
 
     def begin(self, connection: Connection) -> None:
         """Shows the session of a connection, unless it does already."""
-        address, session = connection.viewer()
+        session = connection.session_id()
         if session == self._session:
             return
-        self._session = session
+        self._session, address = session, connection.viewer()
         self._is_open = has_display() and webbrowser.open(address)
         if not self._is_open:
             _log.warning("there is no display; watch at %s", address)
