@@ -52,8 +52,9 @@ export class Tape {
     return this.#at >= 0 && this.#at === this.#last;
   }
 
-  /** Goes to a frame. */
+  /** Goes to a frame, where there is any. */
   seek(at) {
+    if (this.#last < 0) return;
     this.#at = Math.max(0, Math.min(this.#last, at));
     this.#since = -Infinity;
     this.#rests = true;
@@ -64,7 +65,7 @@ export class Tape {
 
   /** Goes some frames on, or back. */
   move(frames) {
-    if (this.#last >= 0) this.seek(this.#at + frames);
+    this.seek(this.#at + frames);
   }
 
   /** Shows what is due at `now`, ms. */
