@@ -88,7 +88,10 @@ impl Replay {
             let chosen: Vec<_> = chosen
                 .filter(|(index, _)| self.episode.is_none_or(|wanted| wanted == *index))
                 .collect();
-            watched.push((short(file), chosen.iter().map(|(_, course)| course.clone()).collect()));
+            if self.view.is_some() {
+                let courses = chosen.iter().map(|(_, course)| course.clone()).collect();
+                watched.push((short(file), courses));
+            }
             for (index, course) in chosen {
                 let (row, scenes) = play(&registry, &name, index, course, format.is_some())
                     .with_context(|| name.clone())?;
