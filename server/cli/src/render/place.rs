@@ -73,6 +73,7 @@ mod tests {
         assert_eq!(point("0.5, 0,-1"), Ok([0.5, 0.0, -1.0]));
         assert!(point("1,2").is_err() && point("1,2,x").is_err() && point("nan,0,0").is_err());
         assert!(angle("60").is_ok() && angle("180").is_err() && angle("nan").is_err());
-        assert!(towards([0.5, 0.0, 1.0], [0.5, 0.0, 0.0], 60.0).is_err());
+        assert!(towards([0.5, 0.0, 1.0], [0.5, 0.0, 0.0], 60.0).is_ok());
+        assert!(towards([0.5, 0.0, 1.0], [0.5, 0.0, 1.0], 60.0).is_err());
     }
 }
