@@ -69,6 +69,15 @@ def test_a_minari_data_set_is_what_the_environment_gives(
     env.close()
 
 
+def test_a_folder_may_be_told_from_where_one_is(
+    tmp_path: Path, server: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    told = record(TASK, episodes=1, out="runs", server=server)
+    assert Path(told.path).is_dir()
+    assert loaded(tmp_path / "runs", TASK, "expert-v0", monkeypatch).total_episodes == 1
+
+
 def test_failures_are_dropped_unless_they_are_wanted(
     tmp_path: Path, server: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -32,7 +32,7 @@ def write(folder: Path, recipe: Recipe, envs: TrocarVectorEnv, episodes: Iterato
     """
     spec = gym.spec(f"{NAMESPACE}/{recipe.task}")
     spec.kwargs = {**spec.kwargs, **recipe.options}
-    data = folder / "data"
+    data = (folder / "data").absolute()  # Minari joins a relative one to itself
     data.mkdir(parents=True)
     storage = MinariStorage.new(
         data,
