@@ -1,7 +1,7 @@
 //! The environments of a session: reset, step, autoreset, copies. No transport in here.
 
 use std::sync::Arc;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use trocar_proto::control::{Autoreset, SessionRequest};
 use trocar_proto::{Code, Rejection, TaskSpec};
@@ -20,6 +20,8 @@ pub(crate) struct Batch {
     autoreset: Autoreset,
     /// Expected time of one environment's step.
     cost: Duration,
+    /// What the latest step of each environment took.
+    took: Vec<Duration>,
 }
 
 /// What a request does with each of its environments.
@@ -38,14 +40,21 @@ impl Batch {
     pub(crate) fn new(registry: &Registry, request: &SessionRequest) -> Result<Self, Rejection> {
         let first = registry.make(&request.task, &request.options)?;
         let spec = Arc::new(first.spec().clone());
-        let envs = (0..u64::from(request.envs))
+        let envs: Vec<_> = (0..u64::from(request.envs))
             .map(|index| {
                 let mut env = first.clone();
                 env.set_seed(request.seed.wrapping_add(index));
                 env
             })
             .collect();
-        Ok(Self { envs, spec, autoreset: request.autoreset, cost: Duration::from_micros(100) })
+        let took = vec![Duration::ZERO; envs.len()];
+        Ok(Self {
+            envs,
+            spec,
+            autoreset: request.autoreset,
+            cost: Duration::from_micros(100),
+            took,
+        })
     }
 
     /// The task under the session's options.
@@ -147,6 +156,8 @@ impl Batch {
         let work = Work {
             first: 0,
             envs: &mut self.envs,
+            took: &mut self.took,
+            long: (cost > WORTH_TIMING && scheduler.is_parallel()).then_some(cost * LONG),
             env_ids,
             deed,
             action_dim: self.spec.action_dim(),
@@ -205,6 +216,10 @@ struct Work<'a> {
     /// The number of `envs[0]` in the session.
     first: u32,
     envs: &'a mut [Env],
+    /// What the latest step of each took.
+    took: &'a mut [Duration],
+    /// More than that is long, where that is of interest.
+    long: Option<Duration>,
     env_ids: &'a [u32],
     deed: Deed<'a>,
     action_dim: usize,
@@ -224,6 +239,7 @@ impl Divisible for Work<'_> {
         // Increasing ids: everything from the first later one on belongs to the second part.
         let border = later_ids.first().map_or(self.envs.len(), |id| (id - self.first) as usize);
         let (envs, later_envs) = self.envs.split_at_mut(border);
+        let (took, later_took) = self.took.split_at_mut(border);
         let (deed, later_deed) = match self.deed {
             Deed::Reset(None) => (Deed::Reset(None), Deed::Reset(None)),
             Deed::Reset(Some(seeds)) => {
@@ -240,9 +256,11 @@ impl Divisible for Work<'_> {
             }
         };
         let (rows, later_rows) = self.rows.split_at(at);
-        let part = |first, envs, env_ids, deed, rows| Self {
+        let part = |first, envs, took, env_ids, deed, rows| Self {
             first,
             envs,
+            took,
+            long: self.long,
             env_ids,
             deed,
             action_dim: self.action_dim,
@@ -251,13 +269,21 @@ impl Divisible for Work<'_> {
             witness: self.witness,
             rows,
         };
-        let now = part(self.first, envs, ids, deed, rows);
-        let later = part(self.first + border as u32, later_envs, later_ids, later_deed, later_rows);
+        let now = part(self.first, envs, took, ids, deed, rows);
+        let border = self.first + border as u32;
+        let later = part(border, later_envs, later_took, later_ids, later_deed, later_rows);
         (now, later)
+    }
+
+    /// An object that is held now, or falls, will most often be so in the next step.
+    fn is_long(&self, at: usize) -> bool {
+        let took = self.took[(self.env_ids[at] - self.first) as usize];
+        self.long.is_some_and(|long| took > long)
     }
 
     fn run(mut self) {
         for (row, id) in self.env_ids.iter().enumerate() {
+            let start = self.long.map(|_| Instant::now());
             let env = &mut self.envs[(id - self.first) as usize];
             match self.deed {
                 Deed::Reset(seeds) => {
@@ -280,9 +306,16 @@ impl Divisible for Work<'_> {
             write_state(env, self.want_expert, &mut self.rows, row);
             let Rows { rgb, depth, mask, points, .. } = &mut self.rows;
             env.show(rgb.row(row), depth.row(row), mask.row(row), points.row(row));
+            self.took[(id - self.first) as usize] = start.map_or(Duration::ZERO, |t| t.elapsed());
         }
     }
 }
+
+/// How many times the average makes a step long.
+const LONG: u32 = 3;
+
+/// Average of a step from which on it is worth 50 ns to measure each.
+const WORTH_TIMING: Duration = Duration::from_micros(10);
 
 /// About the time that a copy takes.
 const COPY: Duration = Duration::from_micros(50);

@@ -1,7 +1,7 @@
 //! Turns: which session's environments run on which threads.
 //!
 //! A session asks for a turn, runs its environments bite by bite for about a millisecond, and asks
-//! again. The next turn is for whoever has had the threads for the least time, and idle time saves
+//! again if somebody else waits. The next turn is for whoever has had the threads for the least time, and idle time saves
 //! nothing up (start-time fair queueing, Goyal et al. 1996). So sessions share the threads evenly
 //! whatever their size, and one that needs less than its share hardly waits. A session that finds idle
 //! threads uses them too.
@@ -32,6 +32,11 @@ pub(crate) trait Divisible: Send + Sized {
     fn len(&self) -> usize;
     /// The first `at` pieces, and the rest.
     fn split_at(self, at: usize) -> (Self, Self);
+    /// Whether piece `at` may take much longer than most.
+    fn is_long(&self, at: usize) -> bool {
+        let _ = at;
+        false
+    }
     /// Does the work.
     fn run(self);
 }
@@ -48,6 +53,7 @@ pub(crate) struct Scheduler {
 
 #[derive(Debug)]
 struct Threads {
+    count: usize,
     pool: rayon::ThreadPool,
     turns: Mutex<Turns>,
     /// Time for which threads were taken, all together, ns.
@@ -127,7 +133,7 @@ impl Scheduler {
             .thread_name(|index| format!("trocar-step-{index}"))
             .build()?;
         let turns = Mutex::new(Turns { free: threads, ahead: false, waiting: vec![], clock: 0 });
-        let threads = Threads { pool, turns, busy: AtomicU64::new(0) };
+        let threads = Threads { count: threads, pool, turns, busy: AtomicU64::new(0) };
         let (threads, share) = (Arc::new(threads), Share::new(usize::MAX));
         Ok(Self { threads, share, spent: Arc::default() })
     }
@@ -150,28 +156,42 @@ impl Scheduler {
     /// Does `work`, turn by turn. `cost` is the time one piece is expected to take; it is updated
     /// by what was measured.
     pub(crate) fn run<W: Divisible>(&self, work: W, cost: &mut Duration) {
-        let mut rest = Some(work);
-        while let Some(work) = rest.take().filter(|work| work.len() > 0) {
-            let (count, each) = (work.len(), cost.as_nanos().max(1));
-            let most = (each * count as u128 / WORTH.as_nanos()).clamp(1, count as u128) as usize;
-            let little = each * count as u128 <= BITE.as_nanos();
-            let turn = self.acquire(most, little);
-            let mut bite = (BITE.as_nanos() / each).max(1) as usize;
-            if turn.threads > 1 {
-                // So that all of them end at about the same time.
-                bite = bite.min(count.div_ceil(2 * turn.threads));
+        let count = work.len();
+        let each = cost.as_nanos().max(1);
+        let pile = Pile::new(work, (BITE.as_nanos() / each) as usize, self.is_parallel());
+        loop {
+            let left = pile.len();
+            if left == 0 {
+                break;
             }
-            let pile = Pile::new(work, bite);
+            let most = (each * left as u128 / WORTH.as_nanos()).clamp(1, left as u128) as usize;
+            let turn = self.acquire(most, each * left as u128 <= BITE.as_nanos());
+            pile.lock().threads = turn.threads;
             if turn.threads == 1 {
                 pile.work_off(turn);
             } else {
                 self.threads.pool.install(|| pile.share_out(turn));
             }
-            let (left, computed) = pile.end();
-            let done = count - left.as_ref().map_or(0, W::len);
-            *cost = (*cost + computed / done as u32) / 2;
-            rest = left;
         }
+        if count > 0 {
+            *cost = (*cost + pile.computed() / count as u32) / 2;
+        }
+    }
+
+    /// Whether a turn may go on when its time is over: nobody waits who could have its threads, and none are
+    /// idle that could help.
+    fn renew(&self, turn: &Turn<'_>) -> bool {
+        let mut turns = self.lock();
+        let is_best = turns.next().is_none() && turns.free.min(self.share.left()) == 0;
+        if is_best && !turn.ahead {
+            turns.clock = turns.clock.max(self.spent.load(Ordering::Relaxed));
+        }
+        is_best && !turn.ahead
+    }
+
+    /// Whether there are several threads.
+    pub(crate) fn is_parallel(&self) -> bool {
+        self.threads.count > 1
     }
 
     /// Whether every thread is taken.
@@ -273,23 +293,73 @@ impl Drop for Turn<'_> {
     }
 }
 
-/// Work from which the threads of one turn take bite by bite until it is done, or the turn is over.
-/// What a piece takes varies a lot, so only the clock tells when that is.
+/// How many long pieces are looked for in a piece of work.
+const MOST_LONG: usize = 16;
+
+/// Work from which threads take bite by bite until it is done, or the turn is over. What a piece takes
+/// varies a lot, so only the clock tells when that is.
 struct Pile<W> {
-    rest: Mutex<Option<W>>,
-    /// How many pieces are taken at once.
+    rest: Mutex<Rest<W>>,
+    /// How many pieces are taken at once, at most.
     bite: usize,
-    over: Instant,
-    /// A turn gets at least one bite done.
-    begun: AtomicBool,
     /// CPU time of all threads together, ns.
     computed: AtomicU64,
 }
 
+/// What nobody has taken yet.
+struct Rest<W> {
+    /// Pieces that may take long: whoever began one last would let all others wait.
+    long: [Option<W>; MOST_LONG],
+    /// What lies before, between and behind them.
+    short: [Option<W>; MOST_LONG + 1],
+    /// How many pieces all of these have.
+    len: usize,
+    /// How many threads take from it.
+    threads: usize,
+}
+
+impl<W: Divisible> Rest<W> {
+    fn new(work: W, several: bool) -> Self {
+        let len = work.len();
+        let (mut long, mut short) = ([const { None }; MOST_LONG], [const { None }; MOST_LONG + 1]);
+        let (mut behind, mut found, mut at) = (work, 0, 0);
+        while several && found < MOST_LONG && at < behind.len() {
+            if behind.is_long(at) {
+                let (before, rest) = behind.split_at(at);
+                let (piece, rest) = rest.split_at(1);
+                (short[found], long[found]) = (Some(before), Some(piece));
+                (behind, found, at) = (rest, found + 1, 0);
+            } else {
+                at += 1;
+            }
+        }
+        short[found] = Some(behind);
+        Self { long, short, len, threads: 1 }
+    }
+
+    /// The next bite of at most `most` pieces, if there is one: less and less where there are several
+    /// threads, so that all end at about the same time (guided self-scheduling, Polychronopoulos and
+    /// Kuck 1987).
+    fn take(&mut self, most: usize) -> Option<W> {
+        if let Some(piece) = self.long.iter_mut().find_map(Option::take) {
+            self.len -= 1;
+            return Some(piece);
+        }
+        let fair = if self.threads > 1 { self.len / (2 * self.threads) } else { self.len };
+        let part = self.short.iter_mut().find(|part| part.as_ref().is_some_and(|w| w.len() > 0))?;
+        let work = part.take()?;
+        let bite = most.min(fair).clamp(1, work.len());
+        let (now, left) = work.split_at(bite);
+        *part = Some(left);
+        self.len -= bite;
+        Some(now)
+    }
+}
+
 impl<W: Divisible> Pile<W> {
-    fn new(work: W, bite: usize) -> Self {
-        let (rest, over) = (Mutex::new(Some(work)), Instant::now() + TURN);
-        Self { rest, bite, over, begun: AtomicBool::new(false), computed: AtomicU64::new(0) }
+    fn new(work: W, bite: usize, several: bool) -> Self {
+        let rest = Mutex::new(Rest::new(work, several));
+        Self { rest, bite, computed: AtomicU64::new(0) }
     }
 
     /// Works on all threads of the turn, which the current pool has. Each is given back by itself:
@@ -303,38 +373,63 @@ impl<W: Divisible> Pile<W> {
         }
     }
 
-    /// Works on this thread, which is the only one of the turn.
+    /// Works on this thread, which is the only one of the turn. It gets at least one bite done.
     fn work_off(&self, turn: Turn<'_>) {
-        let (start, computed) = (Instant::now(), cpu_time());
+        let mut watch = Watch::start();
         while let Some(work) = self.take() {
             work.run();
+            if watch.start.elapsed() >= TURN {
+                self.charge(&turn, &watch);
+                watch = Watch::start();
+                if !turn.scheduler.renew(&turn) {
+                    break;
+                }
+            }
         }
-        // Nobody is charged for the time in which the kernel lets others have the processor.
-        let computed = cpu_time().saturating_sub(computed).as_nanos() as u64;
-        self.computed.fetch_add(computed, Ordering::Relaxed);
-        turn.scheduler.spent.fetch_add(computed, Ordering::Relaxed);
-        let taken = start.elapsed().as_nanos() as u64;
-        turn.scheduler.threads.busy.fetch_add(taken, Ordering::Relaxed);
+        self.charge(&turn, &watch);
         drop(turn); // others may have the thread
     }
 
-    /// The next bite, if there is one and still time for it.
-    fn take(&self) -> Option<W> {
-        if self.begun.swap(true, Ordering::Relaxed) && Instant::now() >= self.over {
-            return None;
-        }
-        let mut rest = self.rest.lock().unwrap_or_else(PoisonError::into_inner);
-        let work = rest.take()?;
-        let bite = self.bite.min(work.len());
-        let (now, left) = work.split_at(bite);
-        *rest = Some(left).filter(|left| left.len() > 0);
-        Some(now)
+    /// Takes note of the time that a turn took. Nobody is charged for that in which the kernel lets others
+    /// have the processor.
+    fn charge(&self, turn: &Turn<'_>, watch: &Watch) {
+        let computed = cpu_time().saturating_sub(watch.computed).as_nanos() as u64;
+        self.computed.fetch_add(computed, Ordering::Relaxed);
+        turn.scheduler.spent.fetch_add(computed, Ordering::Relaxed);
+        let taken = watch.start.elapsed().as_nanos() as u64;
+        turn.scheduler.threads.busy.fetch_add(taken, Ordering::Relaxed);
     }
 
-    /// What was not done, and the CPU time that the rest took.
-    fn end(self) -> (Option<W>, Duration) {
-        let rest = self.rest.into_inner().unwrap_or_else(PoisonError::into_inner);
-        (rest, Duration::from_nanos(self.computed.into_inner()))
+    /// The next bite, if there is one. The lock is not held while it is worked on.
+    fn take(&self) -> Option<W> {
+        self.lock().take(self.bite)
+    }
+
+    /// How many pieces nobody has taken yet.
+    fn len(&self) -> usize {
+        self.lock().len
+    }
+
+    /// The CPU time that it took until now.
+    fn computed(&self) -> Duration {
+        Duration::from_nanos(self.computed.load(Ordering::Relaxed))
+    }
+
+    fn lock(&self) -> MutexGuard<'_, Rest<W>> {
+        // What is left is consistent after every statement, panic or not.
+        self.rest.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+/// When a thread began to work.
+struct Watch {
+    start: Instant,
+    computed: Duration,
+}
+
+impl Watch {
+    fn start() -> Self {
+        Self { start: Instant::now(), computed: cpu_time() }
     }
 }
 
@@ -386,6 +481,53 @@ mod tests {
         fn run(self) {
             panic!("work that fails");
         }
+    }
+
+    /// Pieces by their numbers, of which multiples of 3 are long.
+    struct Numbers(std::ops::Range<usize>);
+
+    impl Divisible for Numbers {
+        fn len(&self) -> usize {
+            self.0.len()
+        }
+
+        fn split_at(self, at: usize) -> (Self, Self) {
+            let border = self.0.start + at;
+            (Self(self.0.start..border), Self(border..self.0.end))
+        }
+
+        fn is_long(&self, at: usize) -> bool {
+            (self.0.start + at).is_multiple_of(3)
+        }
+
+        fn run(self) {}
+    }
+
+    #[test]
+    fn long_pieces_are_begun_first_and_bites_get_smaller() {
+        let taken = |count: usize, threads: usize| {
+            let mut rest = Rest::new(Numbers(0..count), threads > 1);
+            rest.threads = threads;
+            let bites: Vec<_> = std::iter::from_fn(|| rest.take(5))
+                .map(|bite| bite.0.collect::<Vec<_>>())
+                .collect();
+            assert_eq!(rest.len, 0);
+            let mut all = bites.concat();
+            all.sort_unstable();
+            assert_eq!(all, (0..count).collect::<Vec<_>>(), "each once");
+            bites
+        };
+        assert_eq!(taken(8, 1), [vec![0, 1, 2, 3, 4], vec![5, 6, 7]]);
+        assert_eq!(
+            taken(8, 2),
+            [vec![0], vec![3], vec![6], vec![1], vec![2], vec![4], vec![5], vec![7]]
+        );
+        // Of more than are looked for, the rest is as all others.
+        let bites = taken(100, 2);
+        assert_eq!(bites[MOST_LONG - 1], [3 * (MOST_LONG - 1)]);
+        let sizes: Vec<_> = bites[2 * MOST_LONG - 1..].iter().map(Vec::len).collect();
+        assert!(sizes.contains(&5) && sizes.is_sorted_by(|a, b| a >= b), "{sizes:?}");
+        assert_eq!(taken(0, 2), Vec::<Vec<usize>>::new());
     }
 
     #[test]
