@@ -90,6 +90,8 @@ impl fmt::Display for ServerName {
 pub struct Endpoint {
     name: ServerName,
     folder: PathBuf,
+    /// Kept, so that looking whether the server runs allocates nothing.
+    server_lock: PathBuf,
     prefix: String,
 }
 
@@ -101,9 +103,11 @@ impl Endpoint {
         let hash = folder_name
             .bytes()
             .fold(0x811c_9dc5_u32, |hash, byte| (hash ^ u32::from(byte)).wrapping_mul(0x0100_0193));
+        let folder = Path::new(SHARED_MEMORY).join(folder_name);
         Self {
             name: name.clone(),
-            folder: Path::new(SHARED_MEMORY).join(folder_name),
+            server_lock: folder.join("server.lock"),
+            folder,
             prefix: format!("trocar-{hash:08x}."),
         }
     }
@@ -179,7 +183,7 @@ impl Endpoint {
 
     /// Whether a server runs, and which: one non-blocking lock, a few microseconds.
     pub fn server_state(&self) -> ServerState {
-        let Ok(file) = File::open(self.server_lock()) else { return ServerState::Absent };
+        let Ok(file) = File::open(&self.server_lock) else { return ServerState::Absent };
         let locked = flock(&file, FlockOperation::NonBlockingLockShared).is_err();
         match (locked, read_words(&file)) {
             (true, [pid, epoch, CLOSED]) => ServerState::Ending { pid: pid as u32, epoch },
@@ -239,10 +243,6 @@ impl Endpoint {
         Ok(paths)
     }
 
-    fn server_lock(&self) -> PathBuf {
-        self.folder.join("server.lock")
-    }
-
     fn open_folder(&self) -> io::Result<Option<Membership>> {
         match File::open(&self.folder) {
             Ok(lock) => {
@@ -294,7 +294,7 @@ impl Membership {
             .create(true)
             .truncate(false)
             .mode(0o600)
-            .open(self.endpoint.server_lock())?;
+            .open(&self.endpoint.server_lock)?;
         if flock(&file, FlockOperation::NonBlockingLockExclusive).is_err() {
             return Ok(Err(read_words(&file)[0] as u32));
         }
