@@ -6,8 +6,9 @@ use std::time::{Duration, Instant};
 use trocar_proto::control::{Autoreset, SessionRequest};
 use trocar_proto::{Code, Rejection, TaskSpec};
 
+use super::pile::Divisible;
 use super::rows::Rows;
-use super::scheduler::{Divisible, Scheduler};
+use super::scheduler::Scheduler;
 use super::witness::Witness;
 use crate::env::{Env, Imaging, Rebuild};
 use crate::error::StepError;
@@ -20,7 +21,7 @@ pub(crate) struct Batch {
     autoreset: Autoreset,
     /// Expected time of one environment's step.
     cost: Duration,
-    /// What the latest step of each environment took.
+    /// What the latest step of each environment took that was timed.
     took: Vec<Duration>,
 }
 
@@ -276,9 +277,9 @@ impl Divisible for Work<'_> {
     }
 
     /// An object that is held now, or falls, will most often be so in the next step.
-    fn is_long(&self, at: usize) -> bool {
-        let took = self.took[(self.env_ids[at] - self.first) as usize];
-        self.long.is_some_and(|long| took > long)
+    fn first_long(&self) -> Option<usize> {
+        let long = self.long?;
+        self.env_ids.iter().position(|id| self.took[(id - self.first) as usize] > long)
     }
 
     fn run(mut self) {
@@ -306,7 +307,9 @@ impl Divisible for Work<'_> {
             write_state(env, self.want_expert, &mut self.rows, row);
             let Rows { rgb, depth, mask, points, .. } = &mut self.rows;
             env.show(rgb.row(row), depth.row(row), mask.row(row), points.row(row));
-            self.took[(id - self.first) as usize] = start.map_or(Duration::ZERO, |t| t.elapsed());
+            if let Some(start) = start {
+                self.took[(id - self.first) as usize] = start.elapsed();
+            }
         }
     }
 }
@@ -314,7 +317,7 @@ impl Divisible for Work<'_> {
 /// How many times the average makes a step long.
 const LONG: u32 = 3;
 
-/// Average of a step from which on it is worth 50 ns to measure each.
+/// Average of a step from which on it is worth measuring each, which reads the clock twice: about 50 ns.
 const WORTH_TIMING: Duration = Duration::from_micros(10);
 
 /// About the time that a copy takes.

@@ -31,6 +31,7 @@ mod gallery;
 mod handle;
 mod lease;
 mod meter;
+mod pile;
 mod ports;
 mod rows;
 mod scheduler;

@@ -1,10 +1,10 @@
 //! Turns: which session's environments run on which threads.
 //!
 //! A session asks for a turn, runs its environments bite by bite for about a millisecond, and asks
-//! again if somebody else waits. The next turn is for whoever has had the threads for the least time, and idle time saves
-//! nothing up (start-time fair queueing, Goyal et al. 1996). So sessions share the threads evenly
-//! whatever their size, and one that needs less than its share hardly waits. A session that finds idle
-//! threads uses them too.
+//! again if somebody else waits. The next turn is for whoever has had the threads for the least time,
+//! and idle time saves nothing up (start-time fair queueing, Goyal et al. 1996). So sessions share the
+//! threads evenly whatever their size, and one that needs less than its share hardly waits. A session
+//! that finds idle threads uses them too.
 //!
 //! A turn can last much longer: one environment's step may take milliseconds, and the kernel may give
 //! the processor to others meanwhile. Whoever is next and needs little does not wait for its end but
@@ -17,6 +17,8 @@ use std::time::{Duration, Instant};
 
 use rustix::time::{ClockId, clock_gettime};
 
+use super::pile::{Divisible, Pile};
+
 /// How long a session may keep a thread while others wait, and one bite more.
 const TURN: Duration = Duration::from_millis(1);
 
@@ -25,21 +27,6 @@ const BITE: Duration = Duration::from_micros(200);
 
 /// Work that is worth another thread: waking one up costs about half of it.
 const WORTH: Duration = Duration::from_micros(50);
-
-/// Work that can be cut in two anywhere.
-pub(crate) trait Divisible: Send + Sized {
-    /// How many pieces there are.
-    fn len(&self) -> usize;
-    /// The first `at` pieces, and the rest.
-    fn split_at(self, at: usize) -> (Self, Self);
-    /// Whether piece `at` may take much longer than most.
-    fn is_long(&self, at: usize) -> bool {
-        let _ = at;
-        false
-    }
-    /// Does the work.
-    fn run(self);
-}
 
 /// The threads that step environments, and how many of them its user may have at a time. Clones
 /// have that share together, and their time counts together.
@@ -158,7 +145,7 @@ impl Scheduler {
     pub(crate) fn run<W: Divisible>(&self, work: W, cost: &mut Duration) {
         let count = work.len();
         let each = cost.as_nanos().max(1);
-        let pile = Pile::new(work, (BITE.as_nanos() / each) as usize, self.is_parallel());
+        let pile = Pile::new(work, (BITE.as_nanos() / each) as usize);
         loop {
             let left = pile.len();
             if left == 0 {
@@ -166,11 +153,11 @@ impl Scheduler {
             }
             let most = (each * left as u128 / WORTH.as_nanos()).clamp(1, left as u128) as usize;
             let turn = self.acquire(most, each * left as u128 <= BITE.as_nanos());
-            pile.lock().threads = turn.threads;
+            pile.expect(turn.threads);
             if turn.threads == 1 {
-                pile.work_off(turn);
+                turn.work_off(&pile);
             } else {
-                self.threads.pool.install(|| pile.share_out(turn));
+                self.threads.pool.install(|| turn.share_out(&pile));
             }
         }
         if count > 0 {
@@ -178,15 +165,16 @@ impl Scheduler {
         }
     }
 
-    /// Whether a turn may go on when its time is over: nobody waits who could have its threads, and none are
-    /// idle that could help.
+    /// Whether a turn may go on when its time is over: nobody waits who could have its threads, and none
+    /// are idle that could help.
     fn renew(&self, turn: &Turn<'_>) -> bool {
         let mut turns = self.lock();
-        let is_best = turns.next().is_none() && turns.free.min(self.share.left()) == 0;
-        if is_best && !turn.ahead {
+        let all_in_use = turns.free.min(self.share.left()) == 0;
+        let goes_on = !turn.ahead && all_in_use && turns.next().is_none();
+        if goes_on {
             turns.clock = turns.clock.max(self.spent.load(Ordering::Relaxed));
         }
-        is_best && !turn.ahead
+        goes_on
     }
 
     /// Whether there are several threads.
@@ -285,139 +273,48 @@ impl Turn<'_> {
         self.threads -= half;
         (half > 0).then_some(Self { threads: half, ..*self })
     }
+
+    /// Works on all of its threads, which the current pool has. Each is given back by itself: others
+    /// need not wait for the last one.
+    fn share_out<W: Divisible>(mut self, pile: &Pile<W>) {
+        match self.split_off() {
+            Some(half) => {
+                rayon::join(|| self.share_out(pile), || half.share_out(pile));
+            }
+            None => self.work_off(pile),
+        }
+    }
+
+    /// Works on this thread, which is its only one. It gets at least one bite done.
+    fn work_off<W: Divisible>(self, pile: &Pile<W>) {
+        let mut watch = Watch::start();
+        while let Some(work) = pile.take() {
+            work.run();
+            if watch.start.elapsed() >= TURN {
+                self.charge(pile, &watch);
+                watch = Watch::start();
+                if !self.scheduler.renew(&self) {
+                    break;
+                }
+            }
+        }
+        self.charge(pile, &watch);
+    }
+
+    /// Takes note of the time that it took. Nobody is charged for that in which the kernel lets others
+    /// have the processor.
+    fn charge<W: Divisible>(&self, pile: &Pile<W>, watch: &Watch) {
+        let computed = cpu_time().saturating_sub(watch.computed).as_nanos() as u64;
+        pile.charge(computed);
+        self.scheduler.spent.fetch_add(computed, Ordering::Relaxed);
+        let taken = watch.start.elapsed().as_nanos() as u64;
+        self.scheduler.threads.busy.fetch_add(taken, Ordering::Relaxed);
+    }
 }
 
 impl Drop for Turn<'_> {
     fn drop(&mut self) {
         self.scheduler.release(self);
-    }
-}
-
-/// How many long pieces are looked for in a piece of work.
-const MOST_LONG: usize = 16;
-
-/// Work from which threads take bite by bite until it is done, or the turn is over. What a piece takes
-/// varies a lot, so only the clock tells when that is.
-struct Pile<W> {
-    rest: Mutex<Rest<W>>,
-    /// How many pieces are taken at once, at most.
-    bite: usize,
-    /// CPU time of all threads together, ns.
-    computed: AtomicU64,
-}
-
-/// What nobody has taken yet.
-struct Rest<W> {
-    /// Pieces that may take long: whoever began one last would let all others wait.
-    long: [Option<W>; MOST_LONG],
-    /// What lies before, between and behind them.
-    short: [Option<W>; MOST_LONG + 1],
-    /// How many pieces all of these have.
-    len: usize,
-    /// How many threads take from it.
-    threads: usize,
-}
-
-impl<W: Divisible> Rest<W> {
-    fn new(work: W, several: bool) -> Self {
-        let len = work.len();
-        let (mut long, mut short) = ([const { None }; MOST_LONG], [const { None }; MOST_LONG + 1]);
-        let (mut behind, mut found, mut at) = (work, 0, 0);
-        while several && found < MOST_LONG && at < behind.len() {
-            if behind.is_long(at) {
-                let (before, rest) = behind.split_at(at);
-                let (piece, rest) = rest.split_at(1);
-                (short[found], long[found]) = (Some(before), Some(piece));
-                (behind, found, at) = (rest, found + 1, 0);
-            } else {
-                at += 1;
-            }
-        }
-        short[found] = Some(behind);
-        Self { long, short, len, threads: 1 }
-    }
-
-    /// The next bite of at most `most` pieces, if there is one: less and less where there are several
-    /// threads, so that all end at about the same time (guided self-scheduling, Polychronopoulos and
-    /// Kuck 1987).
-    fn take(&mut self, most: usize) -> Option<W> {
-        if let Some(piece) = self.long.iter_mut().find_map(Option::take) {
-            self.len -= 1;
-            return Some(piece);
-        }
-        let fair = if self.threads > 1 { self.len / (2 * self.threads) } else { self.len };
-        let part = self.short.iter_mut().find(|part| part.as_ref().is_some_and(|w| w.len() > 0))?;
-        let work = part.take()?;
-        let bite = most.min(fair).clamp(1, work.len());
-        let (now, left) = work.split_at(bite);
-        *part = Some(left);
-        self.len -= bite;
-        Some(now)
-    }
-}
-
-impl<W: Divisible> Pile<W> {
-    fn new(work: W, bite: usize, several: bool) -> Self {
-        let rest = Mutex::new(Rest::new(work, several));
-        Self { rest, bite, computed: AtomicU64::new(0) }
-    }
-
-    /// Works on all threads of the turn, which the current pool has. Each is given back by itself:
-    /// others need not wait for the last one.
-    fn share_out(&self, mut turn: Turn<'_>) {
-        match turn.split_off() {
-            Some(half) => {
-                rayon::join(|| self.share_out(turn), || self.share_out(half));
-            }
-            None => self.work_off(turn),
-        }
-    }
-
-    /// Works on this thread, which is the only one of the turn. It gets at least one bite done.
-    fn work_off(&self, turn: Turn<'_>) {
-        let mut watch = Watch::start();
-        while let Some(work) = self.take() {
-            work.run();
-            if watch.start.elapsed() >= TURN {
-                self.charge(&turn, &watch);
-                watch = Watch::start();
-                if !turn.scheduler.renew(&turn) {
-                    break;
-                }
-            }
-        }
-        self.charge(&turn, &watch);
-        drop(turn); // others may have the thread
-    }
-
-    /// Takes note of the time that a turn took. Nobody is charged for that in which the kernel lets others
-    /// have the processor.
-    fn charge(&self, turn: &Turn<'_>, watch: &Watch) {
-        let computed = cpu_time().saturating_sub(watch.computed).as_nanos() as u64;
-        self.computed.fetch_add(computed, Ordering::Relaxed);
-        turn.scheduler.spent.fetch_add(computed, Ordering::Relaxed);
-        let taken = watch.start.elapsed().as_nanos() as u64;
-        turn.scheduler.threads.busy.fetch_add(taken, Ordering::Relaxed);
-    }
-
-    /// The next bite, if there is one. The lock is not held while it is worked on.
-    fn take(&self) -> Option<W> {
-        self.lock().take(self.bite)
-    }
-
-    /// How many pieces nobody has taken yet.
-    fn len(&self) -> usize {
-        self.lock().len
-    }
-
-    /// The CPU time that it took until now.
-    fn computed(&self) -> Duration {
-        Duration::from_nanos(self.computed.load(Ordering::Relaxed))
-    }
-
-    fn lock(&self) -> MutexGuard<'_, Rest<W>> {
-        // What is left is consistent after every statement, panic or not.
-        self.rest.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
@@ -481,53 +378,6 @@ mod tests {
         fn run(self) {
             panic!("work that fails");
         }
-    }
-
-    /// Pieces by their numbers, of which multiples of 3 are long.
-    struct Numbers(std::ops::Range<usize>);
-
-    impl Divisible for Numbers {
-        fn len(&self) -> usize {
-            self.0.len()
-        }
-
-        fn split_at(self, at: usize) -> (Self, Self) {
-            let border = self.0.start + at;
-            (Self(self.0.start..border), Self(border..self.0.end))
-        }
-
-        fn is_long(&self, at: usize) -> bool {
-            (self.0.start + at).is_multiple_of(3)
-        }
-
-        fn run(self) {}
-    }
-
-    #[test]
-    fn long_pieces_are_begun_first_and_bites_get_smaller() {
-        let taken = |count: usize, threads: usize| {
-            let mut rest = Rest::new(Numbers(0..count), threads > 1);
-            rest.threads = threads;
-            let bites: Vec<_> = std::iter::from_fn(|| rest.take(5))
-                .map(|bite| bite.0.collect::<Vec<_>>())
-                .collect();
-            assert_eq!(rest.len, 0);
-            let mut all = bites.concat();
-            all.sort_unstable();
-            assert_eq!(all, (0..count).collect::<Vec<_>>(), "each once");
-            bites
-        };
-        assert_eq!(taken(8, 1), [vec![0, 1, 2, 3, 4], vec![5, 6, 7]]);
-        assert_eq!(
-            taken(8, 2),
-            [vec![0], vec![3], vec![6], vec![1], vec![2], vec![4], vec![5], vec![7]]
-        );
-        // Of more than are looked for, the rest is as all others.
-        let bites = taken(100, 2);
-        assert_eq!(bites[MOST_LONG - 1], [3 * (MOST_LONG - 1)]);
-        let sizes: Vec<_> = bites[2 * MOST_LONG - 1..].iter().map(Vec::len).collect();
-        assert!(sizes.contains(&5) && sizes.is_sorted_by(|a, b| a >= b), "{sizes:?}");
-        assert_eq!(taken(0, 2), Vec::<Vec<usize>>::new());
     }
 
     #[test]
