@@ -123,7 +123,8 @@ class GoalDDPG(NormalisedDDPG):
             self.critic.optimizer.step()
             losses = self.actor_losses(batch)
             self.actor.optimizer.zero_grad()
-            losses.policy.backward()  # type: ignore[no-untyped-call]
+            # The critic's own gradients would be computed for nothing.
+            losses.policy.backward(inputs=list(self.actor.parameters()))  # type: ignore[no-untyped-call]
             self.actor.optimizer.step()
             values = {"critic_loss": critic_loss, "actor_loss": losses.policy}
             if self.demos is not None:
@@ -169,12 +170,14 @@ class GoalDDPG(NormalisedDDPG):
         if self.demos is None:
             return Losses(own, nothing, nothing)
         count = self.demo_batch
+        shown = batch.actions[-count:]
         passes = torch.ones(count, dtype=torch.bool)
         if self.q_filter:
+            seen = {key: rows[-count:] for key, rows in batch.observations.items()}
             with torch.no_grad():
-                (shown,) = self.critic(batch.observations, batch.actions)
-            passes = (shown > value.detach())[-count:, 0]
-        off = (action - batch.actions)[-count:][passes]
+                (shown_value,) = self.critic(seen, shown)
+            passes = (shown_value > value.detach()[-count:])[:, 0]
+        off = (action[-count:] - shown)[passes]
         clone = off.square().sum()
         loss = self.policy_weight * own + self.clone_weight * clone
         return Losses(loss, clone.detach(), passes.float().mean())
