@@ -69,7 +69,7 @@ def buffer(path: Path, config: Config, envs: TrocarVecEnv) -> HerReplayBuffer:
     """
     if not (path / "data").is_dir():
         raise refuse(InvalidRequest, "demos", str(path), "expected the folder of a Minari data set")
-    dataset = MinariDataset((path / "data").absolute())
+    dataset = MinariDataset(path / "data")
     check(dataset, config)
     space = envs.observation_space
     assert isinstance(space, spaces.Dict)
