@@ -2,7 +2,7 @@
 //! the stage.
 
 use nalgebra::{Matrix3, Point3, Rotation3, UnitQuaternion, Vector3};
-use wide::{f32x4, f32x8};
+use wide::f32x8;
 
 use super::camera::Camera;
 use super::project::{Faces, Projection};
@@ -14,9 +14,6 @@ use crate::sim::frames::{Aabb, Pose};
 /// pixel does not shade itself.
 const OFFSET: f64 = 1.6;
 
-/// Pixels of a block along each side.
-const BLOCK: usize = 8;
-
 /// The key of where nothing stops the light.
 const NOTHING: f32 = f32::NEG_INFINITY;
 
@@ -27,8 +24,6 @@ pub(super) struct ShadowMap {
     size: usize,
     /// Keys of the nearest surfaces; minus the depth from the lamp.
     keys: Vec<f32>,
-    /// The least and the greatest key of each block of pixels and the blocks to its right and below it.
-    bounds: Vec<[f32; 2]>,
     faces: Faces,
     bins: Bins,
     lookup: Lookup,
@@ -82,7 +77,7 @@ impl ShadowMap {
             }
             tile.clear(origin, NOTHING);
             for number in list {
-                tile.draw(&self.faces.faces, *number);
+                tile.draw_keys(&self.faces.faces[*number as usize]);
             }
             for row in 0..TILE {
                 let line = &mut self.keys[(origin[1] + row) * size + origin[0]..][..TILE];
@@ -91,7 +86,6 @@ impl ShadowMap {
                 }
             }
         }
-        self.bound();
         let world = rows(&lamp_from_world, 1.0);
         let to_pixel = |row: [f32; 4]| {
             let mut row = row.map(|number| number * (1.0 / pixel) as f32);
@@ -104,44 +98,6 @@ impl ShadowMap {
         };
     }
 
-    /// Finds the bounds of the blocks.
-    fn bound(&mut self) {
-        let across = self.size / BLOCK;
-        self.bounds.clear();
-        self.bounds.resize(across * across, [0.0; 2]);
-        for (bounds, lines) in
-            self.bounds.chunks_exact_mut(across).zip(self.keys.chunks_exact(BLOCK * self.size))
-        {
-            for (block, bound) in bounds.iter_mut().enumerate() {
-                let line = |index: usize| {
-                    let eight = &lines[index * self.size + block * BLOCK..][..BLOCK];
-                    f32x8::new(std::array::from_fn(|lane| eight[lane]))
-                };
-                let (mut least, mut greatest) = (line(0), line(0));
-                for index in 1..BLOCK {
-                    least = least.fast_min(line(index));
-                    greatest = greatest.fast_max(line(index));
-                }
-                let least = least.to_array().into_iter().fold(f32::INFINITY, f32::min);
-                let greatest = greatest.to_array().into_iter().fold(NOTHING, f32::max);
-                *bound = [least, greatest];
-            }
-        }
-        // From the first to the last, so that what is read has not been written.
-        for index in 0..self.bounds.len() {
-            let (right, below) = (index + 1, index + across);
-            let beside = [right, below, below + 1].into_iter();
-            let beside = beside.filter(|other| {
-                *other < self.bounds.len() && (*other % across != 0 || index % across + 1 != across)
-            });
-            let merged = beside.fold(self.bounds[index], |[least, greatest], other| {
-                let other = self.bounds[other];
-                [least.min(other[0]), greatest.max(other[1])]
-            });
-            self.bounds[index] = merged;
-        }
-    }
-
     /// How much of the lamp's light reaches eight places (m) with these unit normals: 0 to 1.
     pub(super) fn light(&self, place: [f32x8; 3], normal: [f32x8; 3]) -> f32x8 {
         let raised = f32x8::splat(self.lookup.raised);
@@ -149,38 +105,35 @@ impl ShadowMap {
         let [columns, lines, keys] = self.lookup.rows.map(|[a, b, c, d]| {
             f32x8::splat(a) * x + f32x8::splat(b) * y + f32x8::splat(c) * z + f32x8::splat(d)
         });
-        let last = self.size as f32 - 2.5;
-        let (columns, lines, keys) = (columns.to_array(), lines.to_array(), keys.to_array());
-        f32x8::new(std::array::from_fn(|lane| {
-            let (column, line, key) = (columns[lane], lines[lane], keys[lane]);
-            let is_inside = column > 1.5 && column < last && line > 1.5 && line < last;
-            if is_inside { self.blurred(column, line, key) } else { 1.0 }
-        }))
-    }
-
-    /// The part of the nine pixels about a place that let light pass to a surface of this key; the outer ones
-    /// count as far as the place is near to them.
-    fn blurred(&self, column: f32, line: f32, key: f32) -> f32 {
-        let (column, line) = (column - 0.5, line - 0.5);
-        let (left, top) = (column as usize, line as usize);
-        let [least, greatest] = self.bounds[top / BLOCK * (self.size / BLOCK) + left / BLOCK];
-        if greatest <= key {
-            return 1.0;
+        let (one, half) = (f32x8::splat(1.0), f32x8::splat(0.5));
+        let [first, last] = [1.5, self.size as f32 - 2.5].map(f32x8::splat);
+        let is_inside = columns.simd_gt(first)
+            & columns.simd_lt(last)
+            & lines.simd_gt(first)
+            & lines.simd_lt(last);
+        // Of the nine pixels about each place, the outer ones count as far as it is near to them.
+        let [columns, lines] = [columns, lines].map(|at| at.fast_max(first).fast_min(last) - half);
+        let [lefts, tops] = [columns, lines].map(f32x8::fast_trunc_int);
+        let [right, low] = [columns - lefts.round_float(), lines - tops.round_float()];
+        let (lefts, tops) = (lefts.to_array(), tops.to_array());
+        let mut nine = [[[0.0; LANES]; 3]; 3];
+        for lane in 0..LANES {
+            let left_top = tops[lane] as usize * self.size + lefts[lane] as usize;
+            for (row, three) in nine.iter_mut().enumerate() {
+                let pixels = &self.keys[left_top + row * self.size..][..3];
+                for (key, pixel) in three.iter_mut().zip(pixels) {
+                    key[lane] = *pixel;
+                }
+            }
         }
-        if least > key {
-            return 0.0;
+        let across = [one - right, one, right];
+        let down = [one - low, one, low];
+        let mut sum = f32x8::splat(0.0);
+        for (three, low) in nine.iter().zip(down) {
+            let [a, b, c] = [0, 1, 2].map(|at| f32x8::new(three[at]).simd_le(keys) & across[at]);
+            sum += (a + b + c) * low;
         }
-        let (right_part, low_part) = (column - left as f32, line - top as f32);
-        let across = f32x4::new([1.0 - right_part, 1.0, right_part, 0.0]);
-        let key = f32x4::splat(key);
-        let mut sum = f32x4::splat(0.0);
-        for (index, weight) in [1.0 - low_part, 1.0, low_part].into_iter().enumerate() {
-            let four = &self.keys[(top + index) * self.size + left..][..4];
-            let four = f32x4::new([four[0], four[1], four[2], four[3]]);
-            sum += (four.simd_le(key) & across) * f32x4::splat(weight);
-        }
-        let [first, second, third, _] = sum.to_array();
-        (first + second + third) * 0.25
+        is_inside.bitselect(sum * f32x8::splat(0.25), one)
     }
 }
 

@@ -28,7 +28,7 @@ pub struct Software {
 
 impl Default for Software {
     fn default() -> Self {
-        Self { shadow: 512, samples: 1, parallel: false }
+        Self { shadow: 384, samples: 1, parallel: false }
     }
 }
 
