@@ -1,6 +1,6 @@
 //! Turns: which session's environments run on which threads.
 //!
-//! A session asks for a turn, runs its environments bite by bite for about a millisecond, and asks
+//! A session asks for a turn, runs its environments bite by bite for about two milliseconds, and asks
 //! again if somebody else waits. The next turn is for whoever has had the threads for the least time,
 //! and idle time saves nothing up (start-time fair queueing, Goyal et al. 1996). So sessions share the
 //! threads evenly whatever their size, and one that needs less than its share hardly waits. A session
@@ -19,8 +19,12 @@ use rustix::time::{ClockId, clock_gettime};
 
 use super::pile::{Divisible, Pile};
 
-/// How long a session may keep a thread while others wait, and one bite more.
-const TURN: Duration = Duration::from_millis(1);
+/// How long a session may keep a thread while others wait, and one bite more: handing one over takes some
+/// ten microseconds, and cold caches.
+const TURN: Duration = Duration::from_millis(2);
+
+/// How long whoever needs little waits for a turn before it goes ahead.
+const PATIENCE: Duration = Duration::from_millis(1);
 
 /// Work that is taken up at once.
 const BITE: Duration = Duration::from_micros(200);
@@ -207,7 +211,7 @@ impl Scheduler {
             let mut ahead = false;
             while !ahead && !waiter.called.load(Ordering::Acquire) {
                 if little {
-                    std::thread::park_timeout(TURN);
+                    std::thread::park_timeout(PATIENCE);
                     ahead = self.go_ahead(waiter);
                 } else {
                     std::thread::park();
