@@ -59,8 +59,8 @@ server. Beside other clients, only sessions are looked at. Half of the environme
 expert, the others act at random.
 
 With --others, the share of the first client implies that a message takes its own computation and one
-turn of each other client, on as many threads as there are cores; a turn is what a step of one of their
-environments takes, at least 1 ms. Both are measured in the twins, that is under the same load.
+turn of each other client, on as many threads as there are cores; a turn counts as a step of one of their
+environments, but at least 1 ms. Both are measured in the twins, that is under the same load.
 
 With --json: {clients, envs, steps, steps_per_second, p50_us, p99_us,
 jain, killed, reclaimed, stopped, restarts, errors, mismatches, leaked, server_memory_bytes}; with

@@ -8,7 +8,7 @@
 //!
 //! A turn can last much longer: one environment's step may take milliseconds, and the kernel may give
 //! the processor to others meanwhile. Whoever is next and needs little does not wait for its end but
-//! goes ahead, on one thread more, one at a time. None of this changes any result.
+//! goes ahead after a millisecond, on one thread more, one at a time. None of this changes any result.
 
 use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -19,8 +19,8 @@ use rustix::time::{ClockId, clock_gettime};
 
 use super::pile::{Divisible, Pile};
 
-/// How long a session may keep a thread while others wait, and one bite more: handing one over takes some
-/// ten microseconds, and cold caches.
+/// How long a session may keep a thread while others wait, and one bite more. With half of it, 64 clients of
+/// 16 NeedlePick environments on one core had 0.92 of the rate (seven alternating pairs).
 const TURN: Duration = Duration::from_millis(2);
 
 /// How long whoever needs little waits for a turn before it goes ahead.

@@ -6,7 +6,7 @@ use super::Load;
 use super::fleet::Slot;
 use crate::output;
 
-/// How long a session may keep a thread while others wait, µs.
+/// What a turn of another client counts at least, µs: half of what the server's turns last.
 const TURN_US: f64 = 1000.0;
 
 /// How many problems of a kind are told in words.
@@ -94,8 +94,8 @@ struct Beside {
 }
 
 impl Beside {
-    /// In the worst case every other client has a turn before the first one's message has its own. Turns
-    /// last at least [`TURN_US`], and as long as one environment of the others takes for a step.
+    /// In the worst case every other client has a turn before the first one's message has its own. A turn
+    /// counts [`TURN_US`], or as long as one environment of the others takes for a step if that is more.
     fn new(slots: &[Slot], envs: u32, threads: usize) -> Option<Self> {
         let (first, others) = slots.split_first()?;
         let messages: u64 = others.iter().map(|slot| slot.latencies.len()).sum();
