@@ -18,8 +18,14 @@ const FOUR: usize = 4;
 
 const ACROSS: usize = TILE / FOUR;
 
+/// More columns than a picture has.
+const MOST_COLUMN: f32 = 65536.0;
+
+/// Columns of a face above which each row's ends are looked for.
+const NARROW: usize = 16;
+
 /// 0 to 7.
-pub(super) const STEPS: f32x8 = f32x8::new([0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0]);
+const STEPS: f32x8 = f32x8::new([0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0]);
 
 /// 0 to 3.
 const FOUR_STEPS: f32x4 = f32x4::new([0.0, 1.0, 2.0, 3.0]);
@@ -64,36 +70,35 @@ impl Tile {
         let (first, last) = (first.max(left) - left, last.min(left + TILE - 1) - left);
         let [start, end] = face.rows.map(usize::from);
         let (start, end) = (start.max(top) - top, end.min(top + TILE - 1) - top);
-        let is_wide = last - first >= 2 * LANES;
-        let over_slopes = if is_wide { face.edges.map(|edge| 1.0 / edge[0]) } else { [0.0; 3] };
-        let least = face.least.map(f32x4::splat);
-        let slopes = face.edges.map(|edge| f32x4::splat(edge[0]));
-        let key_slope = f32x4::splat(face.key[0]);
-        for row in start..=end {
-            let y = (top + row) as f32;
-            let offsets = face.edges.map(|[_, b, c]| f32x4::splat(b * y + c));
-            let key = face.key[2] + face.key[1] * (y - face.origin[1]);
-            let key = f32x4::splat(key);
-            let (first, last) = if is_wide {
-                let span = span(face, &over_slopes, y);
-                // `as` takes what is below 0 for 0.
-                let start = (span[0] - left as f32) as usize;
-                let end = (span[1] - left as f32 + 1.0) as usize;
-                (first.max(start), (last + 1).min(end))
-            } else {
-                (first, last + 1)
-            };
-            for group in first / FOUR..last.div_ceil(FOUR) {
-                let x = f32x4::splat((left + group * FOUR) as f32) + FOUR_STEPS;
-                let inside = (slopes[0] * x + offsets[0]).simd_gt(least[0])
-                    & (slopes[1] * x + offsets[1]).simd_gt(least[1])
-                    & (slopes[2] * x + offsets[2]).simd_gt(least[2]);
-                let index = row * ACROSS + group;
-                let here = key + key_slope * (x - f32x4::splat(face.origin[0]));
-                let seen = inside & here.simd_gt(self.keys[index]);
-                self.keys[index] = seen.bitselect(here, self.keys[index]);
-                if NUMBERED {
-                    self.faces[index] = seen.bitselect(number, self.faces[index]);
+        let lines = Lines::of(face);
+        let xs = |group: usize| f32x4::splat((left + group * FOUR) as f32) + FOUR_STEPS;
+        let mut draw = |index: usize, inside: f32x4, key: f32x4| {
+            let seen = inside & key.simd_gt(self.keys[index]);
+            self.keys[index] = seen.bitselect(key, self.keys[index]);
+            if NUMBERED {
+                self.faces[index] = seen.bitselect(number, self.faces[index]);
+            }
+        };
+        if last - first < NARROW {
+            // Most faces: high and narrow ones of what is round. All rows of one group after the other.
+            for group in first / FOUR..=last / FOUR {
+                let along = lines.along(xs(group));
+                for row in start..=end {
+                    let (inside, key) = lines.at(&along, (top + row) as f32);
+                    draw(row * ACROSS + group, inside, key);
+                }
+            }
+        } else {
+            let ends = Ends::of(face, (top + end) as f32);
+            for row in start..=end {
+                let y = (top + row) as f32;
+                let [from, to] = ends.at(y).map(|column| (column - left as f32) as i32);
+                // Numbers below 0 are no columns of the tile.
+                let from = first.max(from.max(0) as usize);
+                let to = (last + 1).min(to.saturating_add(1).max(0) as usize);
+                for group in from / FOUR..to.div_ceil(FOUR) {
+                    let (inside, key) = lines.at(&lines.along(xs(group)), y);
+                    draw(row * ACROSS + group, inside, key);
                 }
             }
         }
@@ -103,11 +108,48 @@ impl Tile {
     pub(super) fn keys(&self, row: usize, group: usize) -> f32x8 {
         f32x8::new(eight(&self.keys, row, group))
     }
+}
 
-    /// The faces of eight pixels: numbers plus one, 0 for none.
-    pub(super) fn faces(&self, row: usize, group: usize) -> [u32; LANES] {
-        eight(&self.faces, row, group).map(f32::to_bits)
+/// What eight pixels of a tile, side by side, show.
+pub(super) struct Shown {
+    /// Where they lie in the picture.
+    pub(super) columns: f32x8,
+    pub(super) row: f32,
+    /// Numbers of faces plus one, 0 for none.
+    pub(super) faces: [u32; LANES],
+    /// Where there is one.
+    pub(super) seen: f32x8,
+    /// One over the key.
+    pub(super) depth: f32x8,
+}
+
+impl Shown {
+    #[inline]
+    pub(super) fn of(tile: &Tile, row: usize, group: usize) -> Self {
+        let faces = eight(&tile.faces, row, group).map(f32::to_bits);
+        Self {
+            columns: f32x8::splat((tile.origin[0] + group * LANES) as f32) + STEPS,
+            row: (tile.origin[1] + row) as f32,
+            faces,
+            seen: mask(faces.map(|face| face > 0)),
+            depth: f32x8::splat(1.0) / tile.keys(row, group),
+        }
     }
+
+    /// Whether no pixel shows a face.
+    pub(super) fn is_nothing(&self) -> bool {
+        self.faces == [0; LANES]
+    }
+
+    /// Whether all show the same, or nothing.
+    pub(super) fn is_one(&self) -> bool {
+        self.faces == [self.faces[0]; LANES]
+    }
+}
+
+/// All bits of a pixel where it is true.
+pub(super) fn mask(pixels: [bool; LANES]) -> f32x8 {
+    f32x8::new(pixels.map(|is_set| f32::from_bits(if is_set { u32::MAX } else { 0 })))
 }
 
 fn eight(fours: &[f32x4; ACROSS * TILE], row: usize, group: usize) -> [f32; LANES] {
@@ -116,22 +158,80 @@ fn eight(fours: &[f32x4; ACROSS * TILE], row: usize, group: usize) -> [f32; LANE
     [a, b, c, d, e, f, g, h]
 }
 
-/// Between which columns a row of a face lies, and a little to each side: no less than what is drawn.
-fn span(face: &Face, over_slopes: &[f32; 3], y: f32) -> [f32; 2] {
-    /// Rounding of an edge's value, over the largest of its terms.
-    const ROUNDING: f32 = 1e-6;
-    let mut span = [0.0, f32::MAX];
-    for (edge, over_slope) in face.edges.iter().zip(over_slopes) {
-        let [a, b, c] = *edge;
-        let at = -(b * y + c) * over_slope;
-        let beside = 1.0 + ((b * y).abs() + c.abs()) * ROUNDING * over_slope.abs();
-        if a > 0.0 {
-            span[0] = span[0].max(at - beside);
-        } else if a < 0.0 {
-            span[1] = span[1].min(at + beside);
+/// What of a face is the same for four pixels side by side.
+struct Lines {
+    /// Slopes along x and y and value at 0 of the edges.
+    edges: [[f32x4; 3]; 3],
+    least: [f32x4; 3],
+    key: [f32x4; 3],
+    origin: [f32x4; 2],
+}
+
+impl Lines {
+    fn of(face: &Face) -> Self {
+        Self {
+            edges: face.edges.map(|edge| edge.map(f32x4::splat)),
+            least: face.least.map(f32x4::splat),
+            key: face.key.map(f32x4::splat),
+            origin: face.origin.map(f32x4::splat),
         }
     }
-    span
+
+    /// What the columns add to the edges and to the key.
+    fn along(&self, x: f32x4) -> [f32x4; 4] {
+        let [one, two, three] = &self.edges;
+        [one[0] * x, two[0] * x, three[0] * x, self.key[0] * (x - self.origin[0])]
+    }
+
+    /// Which of the pixels lie in the face, and their keys, at this row.
+    fn at(&self, along: &[f32x4; 4], y: f32) -> (f32x4, f32x4) {
+        let y = f32x4::splat(y);
+        let inside = |edge: usize| {
+            let [_, b, c] = self.edges[edge];
+            (along[edge] + (b * y + c)).simd_gt(self.least[edge])
+        };
+        let key = (self.key[2] + self.key[1] * (y - self.origin[1])) + along[3];
+        (inside(0) & inside(1) & inside(2), key)
+    }
+}
+
+/// Between which columns the rows of a face lie, and a little to each side: no less than what is drawn.
+struct Ends {
+    /// Slope along y and value at 0 of the columns of up to two edges at the left and two at the right.
+    lefts: [[f32; 2]; 2],
+    rights: [[f32; 2]; 2],
+}
+
+impl Ends {
+    /// `last` is the last row.
+    fn of(face: &Face, last: f32) -> Self {
+        /// Rounding of an edge's value, over the largest of its terms.
+        const ROUNDING: f32 = 1e-6;
+        /// Columns per row of an edge that says little about where a row ends.
+        const FLAT: f32 = 1e6;
+        let mut ends = Self { lefts: [[0.0, 0.0]; 2], rights: [[0.0, MOST_COLUMN]; 2] };
+        let (mut lefts, mut rights) = (ends.lefts.iter_mut(), ends.rights.iter_mut());
+        for [a, b, c] in face.edges {
+            if a.abs() * FLAT <= b.abs() {
+                continue;
+            }
+            let line = if a > 0.0 { lefts.next() } else { rights.next() };
+            let beside = 1.0 + (b.abs() * last + c.abs()) / a.abs() * ROUNDING;
+            if let Some(line) = line {
+                *line = [-b / a, -c / a - beside.copysign(a)];
+            }
+        }
+        ends
+    }
+
+    fn at(&self, y: f32) -> [f32; 2] {
+        let [left, right] =
+            [self.lefts, self.rights].map(|lines| lines.map(|[slope, at]| slope * y + at));
+        [
+            if left[0] > left[1] { left[0] } else { left[1] },
+            if right[0] < right[1] { right[0] } else { right[1] },
+        ]
+    }
 }
 
 /// The faces of each tile of a picture, in order. Kept from picture to picture for its memory.

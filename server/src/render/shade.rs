@@ -8,12 +8,12 @@
 
 use std::sync::LazyLock;
 
-use wide::{f32x4, f32x8};
+use wide::f32x8;
 
 use super::camera::Camera;
 use super::material;
 use super::project::Faces;
-use super::raster::{LANES, STEPS, Tile};
+use super::raster::{self, LANES, Shown};
 use super::scene::Scene;
 use super::shadow::ShadowMap;
 
@@ -55,87 +55,58 @@ impl<'a> Shader<'a> {
         }
     }
 
-    /// The light that eight pixels of a tile get: linear, 0 to 1.
-    pub(super) fn colours(&self, tile: &Tile, row: usize, group: usize) -> Triple {
-        let numbers = tile.faces(row, group);
+    /// The light that eight pixels get: linear, 0 to 1.
+    pub(super) fn colours(&self, shown: &Shown) -> Triple {
         let background = self.scene.background.map(Eight::splat);
-        if numbers == [0; LANES] {
+        if shown.is_nothing() {
             return background;
         }
-        let column = tile.origin[0] + group * LANES;
-        let (x, y) = (column as f32, (tile.origin[1] + row) as f32);
-        let depth = Eight::splat(1.0) / tile.keys(row, group);
-        let surface = self.surface(&numbers, x, y, depth);
-        let columns = Eight::splat(x) + STEPS;
+        let surface = self.surface(shown);
         let ray: Triple = std::array::from_fn(|axis| {
             Eight::splat(self.ray[0][axis])
-                + Eight::splat(self.ray[1][axis]) * columns
-                + Eight::splat(self.ray[2][axis] * y)
+                + Eight::splat(self.ray[1][axis]) * shown.columns
+                + Eight::splat(self.ray[2][axis] * shown.row)
         });
-        let place = std::array::from_fn(|axis| Eight::splat(self.eye[axis]) + ray[axis] * depth);
+        let place =
+            std::array::from_fn(|axis| Eight::splat(self.eye[axis]) + ray[axis] * shown.depth);
         let lit = self.lit(&surface, &ray, place);
-        let seen = Eight::new(numbers.map(|number| if number > 0 { 1.0 } else { 0.0 }));
-        let seen = seen.simd_gt(Eight::splat(0.5));
-        std::array::from_fn(|channel| seen.bitselect(lit[channel], background[channel]))
+        std::array::from_fn(|channel| shown.seen.bitselect(lit[channel], background[channel]))
     }
 
-    /// The surfaces that eight pixels show. Those without one get some other's.
-    fn surface(&self, numbers: &[u32; LANES], x: f32, y: f32, depth: Eight) -> Surface {
-        if numbers[0] > 0 && *numbers == [numbers[0]; LANES] {
-            return self.one_surface(numbers[0] - 1, x, y, depth);
+    /// The surfaces that eight pixels show.
+    fn surface(&self, shown: &Shown) -> Surface {
+        let mut surface = Surface::NONE;
+        let mut left = shown.faces;
+        // Few pixels side by side show more than two or three faces.
+        while let Some(number) = left.into_iter().find(|number| *number > 0) {
+            let pixels = raster::mask(shown.faces.map(|face| face == number));
+            self.add_surface(&mut surface, shown, pixels, number - 1);
+            left = left.map(|shown| if shown == number { 0 } else { shown });
         }
-        let mut surface = Gathered::default();
-        let depth = depth.to_array();
-        for lane in 0..LANES {
-            let Some(number) = numbers[lane].checked_sub(1) else { continue };
-            let face = &self.faces.faces[number as usize];
-            let x = x + lane as f32;
-            let scale = face.over_area * depth[lane];
-            let part = |corner: usize| {
-                let [a, b, c] = face.edges[corner];
-                let normal = self.faces.normals[face.vertices[corner] as usize];
-                f32x4::new(normal) * f32x4::splat((a * x + b * y + c) * scale * normal[3])
-            };
-            let normal = (part(0) + part(1) + part(2)).to_array();
-            for (axis, part) in surface.normal.iter_mut().zip(normal) {
-                axis[lane] = part;
-            }
-            let material = &self.scene.instances()[face.instance as usize].material;
-            for channel in 0..3 {
-                surface.colour[channel][lane] = material.colour[channel];
-            }
-            surface.metallic[lane] = material.metallic;
-            surface.roughness[lane] = material.roughness;
-        }
-        Surface {
-            normal: unit(surface.normal.map(Eight::new)),
-            colour: surface.colour.map(Eight::new),
-            metallic: Eight::new(surface.metallic),
-            roughness: Eight::new(surface.roughness),
-        }
+        surface.normal = unit(surface.normal);
+        surface
     }
 
-    /// The surface where eight pixels show the same face.
-    fn one_surface(&self, number: u32, x: f32, y: f32, depth: Eight) -> Surface {
-        let face = &self.faces.faces[number as usize];
-        let material = &self.scene.instances()[face.instance as usize].material;
-        let columns = Eight::splat(x) + STEPS;
-        let scale = depth * Eight::splat(face.over_area);
+    /// Adds what a face is where `pixels` show it; its normal is not yet of length 1.
+    fn add_surface(&self, surface: &mut Surface, shown: &Shown, pixels: Eight, face: u32) {
+        let face = &self.faces.faces[face as usize];
+        let scale = shown.depth * Eight::splat(face.over_area);
         let normals = face.vertices.map(|vertex| self.faces.normals[vertex as usize]);
         let weights: Triple = std::array::from_fn(|corner| {
             let ([a, b, c], key) = (face.edges[corner], normals[corner][3]);
-            (Eight::splat(a) * columns + Eight::splat(b * y + c)) * (scale * Eight::splat(key))
+            let edge = Eight::splat(a) * shown.columns + Eight::splat(b * shown.row + c);
+            edge * (scale * Eight::splat(key))
         });
-        let normal: Triple = std::array::from_fn(|axis| {
+        let material = &self.scene.instances()[face.instance as usize].material;
+        for (axis, sum) in surface.normal.iter_mut().enumerate() {
             let of = |corner: usize| Eight::splat(normals[corner][axis]) * weights[corner];
-            of(0) + of(1) + of(2)
-        });
-        Surface {
-            normal: unit(normal),
-            colour: material.colour.map(Eight::splat),
-            metallic: Eight::splat(material.metallic),
-            roughness: Eight::splat(material.roughness),
+            *sum |= pixels & (of(0) + of(1) + of(2));
         }
+        for (sum, colour) in surface.colour.iter_mut().zip(material.colour) {
+            *sum |= pixels & Eight::splat(colour);
+        }
+        surface.metallic |= pixels & Eight::splat(material.metallic);
+        surface.roughness |= pixels & Eight::splat(material.roughness);
     }
 
     fn lit(&self, surface: &Surface, ray: &Triple, place: Triple) -> Triple {
@@ -155,10 +126,10 @@ impl<'a> Shader<'a> {
         let alpha = surface.roughness * surface.roughness;
         let squared = alpha * alpha;
         let spread = facing_half * facing_half * (squared - one) + one;
-        let facing = squared / (spread * spread); // times 1/π, which the lamp's brightness holds
         let k = alpha * number(0.5);
         let hidden = (facing_view * (one - k) + k) * (facing_lamp * (one - k) + k);
-        let glint = facing * number(0.25) / hidden;
+        // Their density times 1/π, which the lamp's brightness holds.
+        let glint = squared * number(0.25) / (spread * spread * hidden);
         let grazing = one - reach;
         let grazing = grazing * grazing * grazing * grazing * grazing;
 
@@ -228,20 +199,12 @@ struct Surface {
     roughness: Eight,
 }
 
-/// What is read of it, pixel by pixel.
-struct Gathered {
-    normal: [[f32; LANES]; 3],
-    colour: [[f32; LANES]; 3],
-    metallic: [f32; LANES],
-    roughness: [f32; LANES],
-}
-
-impl Default for Gathered {
-    fn default() -> Self {
-        let zero = [0.0; LANES];
-        let up = [zero, zero, [1.0; LANES]];
-        Self { normal: up, colour: [zero; 3], metallic: zero, roughness: [1.0; LANES] }
-    }
+impl Surface {
+    /// All bits 0: those of pixels are added.
+    const NONE: Self = {
+        let zero = Eight::new([0.0; LANES]);
+        Self { normal: [zero; 3], colour: [zero; 3], metallic: zero, roughness: zero }
+    };
 }
 
 fn dot(a: &Triple, b: &Triple) -> Eight {
@@ -274,9 +237,12 @@ fn fifth_power_of_two(number: Eight) -> Eight {
 
 /// Light as a picture can show it: the same up to 0.7, then ever less, below 1.
 fn shoulder(light: Eight) -> Eight {
-    let bright =
-        Eight::splat(1.0) - Eight::splat(0.09) / (light - Eight::splat(0.4)).max(Eight::splat(0.3));
-    light.simd_gt(Eight::splat(0.7)).bitselect(bright, light)
+    let is_bright = light.simd_gt(Eight::splat(0.7));
+    if is_bright.none() {
+        return light;
+    }
+    let bright = Eight::splat(1.0) - Eight::splat(0.09) / (light - Eight::splat(0.4));
+    is_bright.bitselect(bright, light)
 }
 
 /// Parts of the light, 0 to 1, for which there are bytes.
@@ -296,14 +262,13 @@ pub(super) fn byte(light: f32) -> u8 {
     BYTES[(step as usize).min(LIGHTS - 1)]
 }
 
-/// Writes the bytes of up to eight pixels: red, green, blue of each.
-pub(super) fn write_bytes(light: &Triple, pixels: &mut [u8]) {
-    let (scale, half) = (Eight::splat((LIGHTS - 1) as f32), Eight::splat(0.5));
-    let bytes = &*BYTES;
-    let steps = light.map(|light| (light * scale + half).fast_trunc_int().to_array());
-    for (lane, pixel) in pixels.chunks_exact_mut(3).enumerate() {
-        for channel in 0..3 {
-            pixel[channel] = bytes[(steps[channel][lane] as usize).min(LIGHTS - 1)];
-        }
-    }
+/// The bytes of eight pixels: red, green, blue of each.
+pub(super) fn bytes(light: &Triple) -> [u8; 3 * LANES] {
+    let (most, half) = (Eight::splat((LIGHTS - 1) as f32), Eight::splat(0.5));
+    let table = &*BYTES;
+    let steps = light.each_ref().map(|light| {
+        let step = (*light * most + half).fast_max(half).fast_min(most);
+        step.fast_trunc_int().to_array()
+    });
+    std::array::from_fn(|at| table[steps[at % 3][at / 3] as usize % LIGHTS])
 }

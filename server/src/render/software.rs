@@ -9,7 +9,7 @@ use super::Renderer;
 use super::camera::Camera;
 use super::picture::Canvas;
 use super::project::{Faces, Projection};
-use super::raster::{Bins, LANES, TILE, Tile};
+use super::raster::{Bins, LANES, Shown, TILE, Tile};
 use super::scene::{BodyNumber, Scene};
 use super::shade::{self, Shader};
 use super::shadow::{self, ShadowMap};
@@ -61,6 +61,9 @@ const MOST_PIXELS: usize = 8192;
 thread_local! {
     static SCRATCH: Cell<Option<Box<Scratch>>> = const { Cell::new(None) };
 }
+
+/// Groups of pixels in a row of a tile.
+const GROUPS: usize = TILE / LANES;
 
 /// Memory that is kept from picture to picture.
 struct Scratch {
@@ -156,9 +159,9 @@ impl Software {
                 let rows = (band.len() / (3 * size[0])).min(TILE);
                 for row in 0..rows {
                     let line = &mut band[3 * (row * size[0] + origin[0])..3 * (row + 1) * size[0]];
-                    for (group, eight) in line.chunks_mut(3 * LANES).take(TILE / LANES).enumerate()
-                    {
-                        let colours = shader.colours(tile, row, group).map(f32x8::to_array);
+                    for (group, eight) in line.chunks_mut(3 * LANES).take(GROUPS).enumerate() {
+                        let colours = shader.colours(&Shown::of(tile, row, group));
+                        let colours = colours.map(f32x8::to_array);
                         for (lane, pixel) in eight.chunks_exact_mut(3).enumerate() {
                             pixel.copy_from_slice(&colours.each_ref().map(|each| each[lane]));
                         }
@@ -274,37 +277,42 @@ impl Band<'_> {
     ) {
         let left = tile.origin[0];
         let columns = (width - left).min(TILE);
-        let (mut last, mut body) = (0, 0);
+        let body = |number: u32| match number.checked_sub(1) {
+            Some(face) => {
+                let instance = faces.faces[face as usize].instance;
+                scene.instances()[instance as usize].body
+            }
+            None => 0,
+        };
+        let mut depths = [[0.0; LANES]; GROUPS];
+        let mut bodies = [[0; LANES]; GROUPS];
+        let mut colours = [[0; 3 * LANES]; GROUPS];
         for row in 0..self.rows {
+            for group in 0..columns.div_ceil(LANES) {
+                let shown = Shown::of(tile, row, group);
+                if self.depth.is_some() {
+                    depths[group] = shown.seen.bitselect(shown.depth, f32x8::splat(far)).to_array();
+                }
+                if self.mask.is_some() {
+                    bodies[group] = match shown.faces {
+                        [first, ..] if shown.is_one() => [body(first); LANES],
+                        faces => faces.map(body),
+                    };
+                }
+                if self.rgb.is_some() {
+                    colours[group] = shade::bytes(&shader.colours(&shown));
+                }
+            }
             let line = row * width + left..row * width + left + columns;
             if let Some(depth) = &mut self.depth {
-                for (group, eight) in depth[line.clone()].chunks_mut(LANES).enumerate() {
-                    let numbers = tile.faces(row, group);
-                    let depths = (f32x8::splat(1.0) / tile.keys(row, group)).to_array();
-                    for (lane, depth) in eight.iter_mut().enumerate() {
-                        *depth = if numbers[lane] > 0 { depths[lane] } else { far };
-                    }
-                }
+                depth[line.clone()].copy_from_slice(&depths.as_flattened()[..columns]);
             }
             if let Some(mask) = &mut self.mask {
-                for (group, eight) in mask[line.clone()].chunks_mut(LANES).enumerate() {
-                    for (number, pixel) in tile.faces(row, group).into_iter().zip(eight) {
-                        if number != last {
-                            last = number;
-                            body = number.checked_sub(1).map_or(0, |number| {
-                                let instance = faces.faces[number as usize].instance;
-                                scene.instances()[instance as usize].body
-                            });
-                        }
-                        *pixel = body;
-                    }
-                }
+                mask[line.clone()].copy_from_slice(&bodies.as_flattened()[..columns]);
             }
             if let Some(rgb) = &mut self.rgb {
-                let line = &mut rgb[3 * line.start..3 * line.end];
-                for (group, eight) in line.chunks_mut(3 * LANES).enumerate() {
-                    shade::write_bytes(&shader.colours(tile, row, group), eight);
-                }
+                let line = 3 * line.start..3 * line.end;
+                rgb[line].copy_from_slice(&colours.as_flattened()[..3 * columns]);
             }
         }
     }
