@@ -8,6 +8,7 @@
 //! | [`tasks`] | what is learnt: one file per task, and the registry that lists them |
 //! | [`render`] | pictures of it: colour, depth, bodies |
 //! | [`env`] | one environment: a task in its world, episode by episode |
+//! | `clock` | processor time of a thread |
 //! | [`error`] | why an environment could not be stepped |
 //! | [`view`] | the live viewer: a page over HTTP |
 //! | [`service`] | hosting: sessions of many clients over shared memory |
@@ -15,6 +16,7 @@
 //! Nothing here but hosting knows of clients: an [`Env`] runs wherever it is made.
 
 pub mod assets;
+mod clock;
 pub mod env;
 pub mod error;
 pub mod render;

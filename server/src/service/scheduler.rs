@@ -15,9 +15,8 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread::Thread;
 use std::time::{Duration, Instant};
 
-use rustix::time::{ClockId, clock_gettime};
-
 use super::pile::{Divisible, Pile};
+use crate::clock::thread_time;
 
 /// How long a session may keep a thread while others wait, and one bite more. With half of it, 64 clients of
 /// 16 NeedlePick environments on one core had 0.92 of the rate (seven alternating pairs).
@@ -256,12 +255,6 @@ impl Scheduler {
     }
 }
 
-/// CPU time of this thread since some moment.
-fn cpu_time() -> Duration {
-    let time = clock_gettime(ClockId::ThreadCPUTime);
-    Duration::new(time.tv_sec.cast_unsigned(), time.tv_nsec as u32)
-}
-
 /// Threads that are taken. They are given back when this is dropped, also by a panic.
 struct Turn<'a> {
     scheduler: &'a Scheduler,
@@ -308,7 +301,7 @@ impl Turn<'_> {
     /// Takes note of the time that it took. Nobody is charged for that in which the kernel lets others
     /// have the processor.
     fn charge<W: Divisible>(&self, pile: &Pile<W>, watch: &Watch) {
-        let computed = cpu_time().saturating_sub(watch.computed).as_nanos() as u64;
+        let computed = thread_time().saturating_sub(watch.computed).as_nanos() as u64;
         pile.charge(computed);
         self.scheduler.spent.fetch_add(computed, Ordering::Relaxed);
         let taken = watch.start.elapsed().as_nanos() as u64;
@@ -330,7 +323,7 @@ struct Watch {
 
 impl Watch {
     fn start() -> Self {
-        Self { start: Instant::now(), computed: cpu_time() }
+        Self { start: Instant::now(), computed: thread_time() }
     }
 }
 

@@ -9,17 +9,18 @@ use tokio::sync::{oneshot, watch};
 use tokio::time::{Instant, Interval, MissedTickBehavior, interval, timeout};
 
 use super::message::{self, Command, Message, Notice, Teller};
-use super::painter::Painter;
+use super::painter::{Painter, Painting};
 use super::source::{Moment, Pace, Source, Window};
 
 /// How often the list of sessions is sent.
 const LIST: Duration = Duration::from_secs(1);
 
-/// Least time between two pictures of the endoscope. It is also at least [`SHARE`] times what one took.
+/// Least time between two pictures of the endoscope. It is also at least [`SHARE`] times the processor time that
+/// one took.
 const PICTURE: Duration = Duration::from_millis(100);
 
-/// The painter draws for a page for one part in so many of the time.
-const SHARE: u32 = 10;
+/// The painter takes for a page at most one part in so many of what a core can do: trainers want it too.
+const SHARE: u32 = 50;
 
 /// Whoever takes nothing for so long is not there any more.
 const PATIENCE: Duration = Duration::from_secs(30);
@@ -92,7 +93,7 @@ enum Picture {
     /// None is drawn now; the next one from this moment on.
     NotBefore(Instant),
     /// One is being drawn since then.
-    Ordered(Instant, oneshot::Receiver<Vec<u8>>),
+    Ordered(Instant, oneshot::Receiver<Painting>),
 }
 
 /// What a page waits for.
@@ -101,7 +102,7 @@ enum Event {
     Asked(Option<Result<Frame, axum::Error>>),
     List,
     Moment(Option<Moment>),
-    Picture(Option<Vec<u8>>),
+    Picture(Option<Painting>),
 }
 
 impl Page {
@@ -131,7 +132,7 @@ impl Page {
                     self.say(&Notice::Sessions { list: &list }).await?;
                 }
                 Event::Moment(moment) => self.show(moment).await?,
-                Event::Picture(png) => self.show_picture(png).await?,
+                Event::Picture(painting) => self.show_picture(painting).await?,
             }
         }
     }
@@ -197,17 +198,17 @@ impl Page {
         Ok(())
     }
 
-    async fn show_picture(&mut self, png: Option<Vec<u8>>) -> Result<(), Over> {
+    async fn show_picture(&mut self, painting: Option<Painting>) -> Result<(), Over> {
         let Some(watching) = &mut self.watching else { return Ok(()) };
-        let now = Instant::now();
         if let Picture::Ordered(since, _) = watching.picture {
-            let pause = (SHARE * (now - since)).max(PICTURE);
-            watching.picture = Picture::NotBefore(since + pause);
+            let cost = painting.as_ref().map_or(Duration::ZERO, |painting| painting.cost);
+            watching.picture = Picture::NotBefore(since + (SHARE * cost).max(PICTURE));
         }
         let (session, env) = (watching.session, watching.env);
-        match png {
-            Some(png) => {
-                self.send(Frame::Binary(message::picture(session, env, &png).into())).await
+        match painting {
+            Some(painting) => {
+                let picture = message::picture(session, env, &painting.png);
+                self.send(Frame::Binary(picture.into())).await
             }
             None => Ok(()),
         }
@@ -237,6 +238,6 @@ async fn next(watching: &mut Option<Watching>) -> Event {
     let Picture::Ordered(_, answer) = picture else { return Event::Moment(window.next().await) };
     tokio::select! {
         moment = window.next() => Event::Moment(moment),
-        png = answer => Event::Picture(png.ok()),
+        painting = answer => Event::Picture(painting.ok()),
     }
 }

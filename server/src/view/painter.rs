@@ -4,11 +4,13 @@ use std::io;
 use std::sync::Arc;
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 use std::thread::JoinHandle;
+use std::time::Duration;
 
 use rustix::process::setpriority_process;
 use rustix::thread::gettid;
 use tokio::sync::oneshot;
 
+use crate::clock::thread_time;
 use crate::render::{Canvas, Lens, Renderer, Scene, Software};
 
 /// Pixels along each side of a picture.
@@ -21,8 +23,15 @@ const LEAST: i32 = 19;
 #[derive(Debug)]
 struct Order {
     scene: Arc<Scene>,
-    /// Gets the PNG.
-    finished: oneshot::Sender<Vec<u8>>,
+    finished: oneshot::Sender<Painting>,
+}
+
+/// A picture that was drawn.
+#[derive(Debug)]
+pub(super) struct Painting {
+    pub(super) png: Vec<u8>,
+    /// Processor time that it took.
+    pub(super) cost: Duration,
 }
 
 /// Takes orders; clones give them to the same thread.
@@ -40,7 +49,7 @@ impl Painter {
 
     /// Orders a picture of a scene that has an endoscope. There is none where the answer is closed: the
     /// scene cannot be drawn, or there is no room for more orders.
-    pub(super) fn order(&self, scene: Arc<Scene>) -> oneshot::Receiver<Vec<u8>> {
+    pub(super) fn order(&self, scene: Arc<Scene>) -> oneshot::Receiver<Painting> {
         let (finished, answer) = oneshot::channel();
         self.0.try_send(Order { scene, finished }).ok();
         answer
@@ -53,10 +62,14 @@ fn work(orders: &Receiver<Order>) {
     }
     let mut rgb = vec![0; 3 * PIXELS * PIXELS];
     for order in orders {
+        let start = thread_time();
         // Nobody may be looking any more.
         if !order.finished.is_closed() && draw(&order.scene, &mut rgb) {
             match to_png(&rgb) {
-                Ok(png) => drop(order.finished.send(png)),
+                Ok(png) => {
+                    let cost = thread_time().saturating_sub(start);
+                    order.finished.send(Painting { png, cost }).ok();
+                }
                 Err(error) => tracing::warn!(%error, "a picture could not be written"),
             }
         }
@@ -103,8 +116,9 @@ mod tests {
     #[test]
     fn a_picture_is_what_the_renderer_draws() {
         let (painter, thread) = Painter::start(1).unwrap();
-        let png = painter.order(Arc::new(scene())).blocking_recv().unwrap();
-        let mut reader = png::Decoder::new(std::io::Cursor::new(png)).read_info().unwrap();
+        let painting = painter.order(Arc::new(scene())).blocking_recv().unwrap();
+        assert!(painting.cost > Duration::ZERO);
+        let mut reader = png::Decoder::new(std::io::Cursor::new(painting.png)).read_info().unwrap();
         let mut rgb = vec![0; reader.output_buffer_size().unwrap()];
         reader.next_frame(&mut rgb).unwrap();
         let camera = scene().camera(Lens::Endoscope, PIXELS, PIXELS).unwrap();
