@@ -142,6 +142,13 @@ impl Job {
         }
     }
 
+    /// The random actions of a round in the environments of a client; `None` where the expert acts. Each
+    /// client has its own, so that many need not do the same as one: some actions cost more than others.
+    fn actions(&self, client: u32, round: usize) -> Option<&[f32]> {
+        let first = client as usize * self.max_steps as usize;
+        self.pool.as_ref().map(|pool| pool.round(first + round))
+    }
+
     /// Runs `step` for a part of the time.
     fn warm_up<E>(&self, mut step: impl FnMut(usize) -> Result<(), E>) -> Result<(), E> {
         let start = Instant::now();

@@ -11,6 +11,8 @@ use crate::process::OwnServer;
 
 /// A session, and the expert's actions in it.
 struct Player {
+    /// Number of its client.
+    number: u32,
     session: Session,
     seed: u64,
     expert: Vec<f32>,
@@ -27,7 +29,7 @@ impl Player {
         let mut session = client.open(&request)?;
         session.want_expert(job.policy.asks_expert());
         let expert = vec![0.0; session.envs() * session.spec().action_dim()];
-        let mut player = Self { session, seed: request.seed, expert };
+        let mut player = Self { number, session, seed: request.seed, expert };
         for round in 0..u64::from(BEGINNINGS.div_ceil(job.envs)) {
             player.reset_from(round * u64::from(job.envs))?;
         }
@@ -68,13 +70,13 @@ pub(super) fn run(server: &OwnServer, job: &Job) -> anyhow::Result<Measured> {
     let mut players = (0..job.clients).map(open).collect::<Result<Vec<_>, _>>()?;
     let (ready, go) = (Barrier::new(players.len() + 1), Barrier::new(players.len() + 1));
     let work = |player: &mut Player| -> Result<u64, CallError> {
-        let actions = |round| job.pool.as_ref().map(|pool| pool.round(round));
-        let warmed = job.warm_up(|round| player.step(actions(round)));
+        let number = player.number;
+        let warmed = job.warm_up(|round| player.step(job.actions(number, round)));
         let warmed = warmed.and_then(|()| player.reset());
         ready.wait();
         go.wait();
         warmed?;
-        Ok(job.rounds(|round| player.step(actions(round)))? * u64::from(job.envs))
+        Ok(job.rounds(|round| player.step(job.actions(number, round)))? * u64::from(job.envs))
     };
     thread::scope(|scope| {
         let work = &work;

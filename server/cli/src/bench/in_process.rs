@@ -14,7 +14,8 @@ use super::{BEGINNINGS, Job, Measured, Stopwatch};
 struct Player {
     env: Env,
     seed: u64,
-    /// Its number in its session.
+    /// Number of its client, and its own in that one's session.
+    client: u32,
     index: usize,
     action: Vec<f32>,
     pictures: Pictures,
@@ -52,8 +53,9 @@ pub(super) fn run(registry: &Registry, job: &Job) -> anyhow::Result<Measured> {
     let player = |seed| {
         let mut env = env.clone();
         env.reset(Some(seed));
-        let index = (seed % u64::from(job.envs)) as usize;
-        Player { env, seed, index, action: action.clone(), pictures: pictures.clone() }
+        let (client, index) = (seed / u64::from(job.envs), seed % u64::from(job.envs));
+        let (client, index) = (client as u32, index as usize);
+        Player { env, seed, client, index, action: action.clone(), pictures: pictures.clone() }
     };
     let count = job.envs * job.clients;
     let mut players: Vec<_> = (0..u64::from(count)).map(player).collect();
@@ -63,8 +65,7 @@ pub(super) fn run(registry: &Registry, job: &Job) -> anyhow::Result<Measured> {
     let (ready, go) = (Barrier::new(shares + 1), Barrier::new(shares + 1));
     let work = |players: &mut [Player]| -> Result<u64, StepError> {
         let step = |players: &mut [Player], round| {
-            let actions = job.pool.as_ref().map(|pool| pool.round(round));
-            players.iter_mut().try_for_each(|player| player.step(actions))
+            players.iter_mut().try_for_each(|player| player.step(job.actions(player.client, round)))
         };
         let warmed = job.warm_up(|round| step(players, round));
         for player in players.iter_mut() {
