@@ -57,7 +57,9 @@ def wilson(successes: int, trials: int, z: float = 1.959964) -> tuple[float, flo
     middle = (rate + z * z / (2 * trials)) / denominator
     spread = math.sqrt(rate * (1 - rate) / trials + z * z / (4 * trials * trials))
     half = z * spread / denominator
-    return max(0.0, middle - half), min(1.0, middle + half)
+    # Exactly 0 and 1 where all failed or none did, which rounding misses.
+    low = middle - half if successes else 0.0
+    return low, middle + half if successes < trials else 1.0
 
 
 def score(policy: Policy, envs: TrocarVecEnv, seed: int, episodes: int | None = None) -> Score:
