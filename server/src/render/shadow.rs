@@ -148,7 +148,7 @@ fn lamp_from_world(towards_lamp: &Vector3<f64>) -> Pose {
 
 /// The box around what the camera can see of the stage, in the lamp's axes; some of it where that is nothing.
 fn region(scene: &Scene, camera: &Camera, lamp_from_world: &Pose) -> Aabb {
-    let stage = Aabb::around(scene.stage.corners().map(|corner| lamp_from_world * corner));
+    let stage = scene.stage.placed(lamp_from_world);
     let corners: Vec<_> = scene.stage.corners().collect();
     let depths = corners.iter().map(|corner| {
         camera.world_from_camera.inverse_transform_point(corner).z.clamp(camera.near, camera.far)

@@ -121,6 +121,14 @@ impl Aabb {
         (0..3).all(|axis| self.min[axis] <= other.max[axis] && other.min[axis] <= self.max[axis])
     }
 
+    /// The smallest box around this one where it is put by `pose`.
+    #[must_use]
+    pub fn placed(&self, pose: &Pose) -> Self {
+        let centre = pose.transform_point(&self.centre().into()).coords;
+        let half = pose.rotation.to_rotation_matrix().matrix().abs() * (0.5 * self.extents());
+        Self { min: centre - half, max: centre + half }
+    }
+
     /// The middle.
     pub fn centre(&self) -> Vector3<f64> {
         (self.min + self.max) * 0.5
@@ -253,5 +261,16 @@ mod tests {
         assert!(!aabb.meets(&Aabb::new([1.1, 0.0, 0.0], [2.0; 3])));
         assert_eq!(aabb.clamp(&Vector3::new(2.0, 0.5, -1.0)), Vector3::new(1.0, 0.5, 0.0));
         assert_eq!(Aabb::around(aabb.corners()), aabb);
+    }
+
+    #[test]
+    fn a_placed_box_is_around_its_corners() {
+        let aabb = Aabb::new([-0.3, 0.1, 0.2], [0.1, 0.2, 1.0]);
+        let there = pose([0.4, -0.1, 0.2], [0.3, -2.0, 1.0]);
+        let placed = aabb.placed(&there);
+        let around = Aabb::around(aabb.corners().map(|corner| there * corner));
+        assert!(
+            (placed.min - around.min).norm() < 1e-12 && (placed.max - around.max).norm() < 1e-12
+        );
     }
 }

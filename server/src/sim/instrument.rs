@@ -113,10 +113,7 @@ impl Posture {
 
     /// A box around fingers that are there, and the clevis.
     fn aabb_with(&self, world_from_fingers: [Pose; 2]) -> Aabb {
-        let finger = |index: usize| {
-            let corners = finger_box(SIDES[index]).corners();
-            Aabb::around(corners.map(|corner| world_from_fingers[index] * corner))
-        };
+        let finger = |index: usize| finger_box(SIDES[index]).placed(&world_from_fingers[index]);
         let fingers = [finger(0), finger(1)];
         let clevis = Aabb::around(clevis_ends().map(|end| self.world_from_wrist * end));
         fingers[0].merged(&fingers[1]).merged(&clevis.grown(CLEVIS_RADIUS))

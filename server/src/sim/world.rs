@@ -179,6 +179,8 @@ pub struct World {
     /// Greatest speed of a free object in any substep, engine units.
     fastest: f32,
     fixed: Vec<RigidBodyHandle>,
+    /// The boxes of all parts of fixed bodies, m.
+    furniture: Vec<Aabb>,
     workspace: Workspace,
 }
 
@@ -234,6 +236,7 @@ impl World {
             free: Vec::new(),
             fastest: 0.0,
             fixed: Vec::new(),
+            furniture: Vec::new(),
             workspace: Workspace::default(),
         }
     }
@@ -268,7 +271,10 @@ impl World {
                 self.bodies[body].activation_mut().time_until_sleep = SLEEP_AFTER;
                 self.free.push(body);
             }
-            Motion::Fixed => self.fixed.push(body),
+            Motion::Fixed => {
+                self.fixed.push(body);
+                self.survey();
+            }
             Motion::Driven => {}
         }
         BodyId(body)
@@ -277,6 +283,9 @@ impl World {
     /// Sets where a body is, at once; it must lie at rest there if it is free.
     pub fn place(&mut self, body: BodyId, world_from_body: &Pose) {
         self.bodies[body.0].set_position(frames::to_engine(world_from_body), false);
+        if self.fixed.contains(&body.0) {
+            self.survey();
+        }
     }
 
     /// Gives a body the forms of `parts` in place of its own, one for one; its mass stays.
@@ -286,6 +295,9 @@ impl World {
             let collider = &mut self.colliders[*handle];
             collider.set_shape(shape);
             collider.set_position_wrt_parent(frames::to_engine(&part.body_from_part));
+        }
+        if self.fixed.contains(&body.0) {
+            self.survey();
         }
     }
 
@@ -467,26 +479,31 @@ impl World {
 
     /// Whether the box of any part of a free object meets `region`.
     pub fn object_in(&self, region: &Aabb) -> bool {
-        self.free.iter().any(|body| self.meets(*body, region))
+        self.free.iter().any(|body| self.boxes(*body).any(|part| region.meets(&part)))
     }
 
     /// Whether the box of any part of a fixed body meets `region`.
     pub fn furniture_in(&self, region: &Aabb) -> bool {
-        self.fixed.iter().any(|body| self.meets(*body, region))
+        self.furniture.iter().any(|part| region.meets(part))
     }
 
-    fn meets(&self, body: RigidBodyHandle, region: &Aabb) -> bool {
+    /// Takes note of where the fixed bodies are.
+    fn survey(&mut self) {
+        self.furniture = self.fixed.iter().flat_map(|body| self.boxes(*body)).collect();
+    }
+
+    /// The boxes around the parts of a body, m.
+    fn boxes(&self, body: RigidBodyHandle) -> impl Iterator<Item = Aabb> {
         let body = &self.bodies[body];
-        body.colliders().iter().any(|handle| {
+        body.colliders().iter().map(|handle| {
             let collider = &self.colliders[*handle];
             let body_from_part =
                 collider.position_wrt_parent().expect("every collider belongs to a body");
             let part = collider.shape().compute_aabb(&(*body.position() * *body_from_part));
-            let (min, max) = (part.mins, part.maxs);
-            region.meets(&Aabb {
-                min: frames::from_engine_vector(min),
-                max: frames::from_engine_vector(max),
-            })
+            Aabb {
+                min: frames::from_engine_vector(part.mins),
+                max: frames::from_engine_vector(part.maxs),
+            }
         })
     }
 
