@@ -273,7 +273,7 @@ impl World {
             }
             Motion::Fixed => {
                 self.fixed.push(body);
-                self.survey();
+                self.survey(body);
             }
             Motion::Driven => {}
         }
@@ -283,9 +283,7 @@ impl World {
     /// Sets where a body is, at once; it must lie at rest there if it is free.
     pub fn place(&mut self, body: BodyId, world_from_body: &Pose) {
         self.bodies[body.0].set_position(frames::to_engine(world_from_body), false);
-        if self.fixed.contains(&body.0) {
-            self.survey();
-        }
+        self.survey(body.0);
     }
 
     /// Gives a body the forms of `parts` in place of its own, one for one; its mass stays.
@@ -296,9 +294,7 @@ impl World {
             collider.set_shape(shape);
             collider.set_position_wrt_parent(frames::to_engine(&part.body_from_part));
         }
-        if self.fixed.contains(&body.0) {
-            self.survey();
-        }
+        self.survey(body.0);
     }
 
     /// Takes a body out of all that happens, until it is brought back.
@@ -487,9 +483,11 @@ impl World {
         self.furniture.iter().any(|part| region.meets(part))
     }
 
-    /// Takes note of where the fixed bodies are.
-    fn survey(&mut self) {
-        self.furniture = self.fixed.iter().flat_map(|body| self.boxes(*body)).collect();
+    /// Takes note of where a body is now, if it is a fixed one.
+    fn survey(&mut self, body: RigidBodyHandle) {
+        if self.fixed.contains(&body) {
+            self.furniture = self.fixed.iter().flat_map(|body| self.boxes(*body)).collect();
+        }
     }
 
     /// The boxes around the parts of a body, m.
