@@ -119,6 +119,67 @@ fn gripped_slab(mass: f64, squeeze: f64, friction: f64) -> (World, Instrument, B
     (world, arm, slab, normal)
 }
 
+/// Jaws that point down and hold a staple of wire (0.4 g, 1 mm thick) by its back, its legs level, and
+/// how far its centre of mass is from there, m.
+fn gripped_staple(friction: f64) -> (World, Instrument, BodyId, f64) {
+    const RADIUS: f64 = 0.5e-3;
+    let mut world = World::new(Solver::LIGHT);
+    let floor = Vector3::new(0.1, 0.1, 0.01);
+    world.insert(Motion::Fixed, &Pose::translation(0.0, 0.0, -0.01), 1.0, &[cuboid(floor)]);
+    let [left, right] = [-8e-3, 8e-3].map(|x| Point3::new(x, 0.0, 0.0));
+    let leg = Vector3::new(0.0, -15e-3, 0.0);
+    let wires = [(left, right), (left, left + leg), (right, right + leg)].map(|(a, b)| Part {
+        body_from_part: Pose::identity(),
+        shape: Shape::Capsule { a, b, radius: RADIUS },
+    });
+    let lying = Pose::translation(0.0, 0.0, RADIUS);
+    let staple = world.insert(Motion::Free { mass: 0.4e-3 }, &lying, friction, &wires);
+    let at = |height: f64, jaw: f64| {
+        let wrist = [0.0, 0.0, height + TIP_OFFSET];
+        Posture { world_from_wrist: frames::pose(wrist, [PI, 0.0, 0.0]), jaw }
+    };
+    let mut arm = Instrument::insert(&mut world, at(0.05e-3, JAW_OPEN), 1.0);
+    arm.set_friction(&mut world, friction);
+    travel([&mut arm], &mut world, [at(0.05e-3, JAW_CLOSED)], 96);
+    travel([&mut arm], &mut world, [at(0.03, JAW_CLOSED)], 96);
+    assert!(arm.holds(&world, staple));
+    (world, arm, staple, 2.0 * 15.5e-3 * 7.5e-3 / (2.0 * 15.5e-3 + 16.5e-3))
+}
+
+#[test]
+fn a_gripped_wire_does_not_swing() {
+    let (mut world, mut arm, staple, _) = gripped_staple(1.0);
+    let (here, before) = (*arm.posture(), world.pose(staple));
+    let mut fastest: f64 = 0.0;
+    for now in 0..240 {
+        travel([&mut arm], &mut world, [here], 1);
+        if now >= 24 {
+            fastest = fastest.max(world.velocity(staple).norm());
+        }
+    }
+    let turned = world.pose(staple).rotation.angle_to(&before.rotation).to_degrees();
+    eprintln!("at most {:.2} mm/s after 0.1 s, turned by {turned:.2}° in 1 s", fastest * 1e3);
+    assert!(fastest < 1e-3 && turned < 1.0);
+}
+
+#[test]
+fn a_gripped_wire_rolls_where_friction_at_both_sides_cannot_stop_it() {
+    const FRICTION: f64 = 0.5;
+    let turned_by = |share: f64| {
+        let (mut world, mut arm, staple, arm_of_force) = gripped_staple(FRICTION);
+        let (here, before) = (*arm.posture(), world.pose(staple));
+        // A newton on each side of a wire of 1 mm.
+        let couple = FRICTION * 1.0 * 1e-3;
+        let pull = share * couple / arm_of_force;
+        world.pull(staple, &Vector3::new(0.0, 0.0, -pull));
+        travel([&mut arm], &mut world, [here], 24);
+        world.pose(staple).rotation.angle_to(&before.rotation).to_degrees()
+    };
+    let turned = [0.25, 0.5, 1.0].map(turned_by);
+    eprintln!("pulled with 0.25, 0.5 and 1 of that: turned by {turned:.1?} degrees");
+    assert!(turned[1] < 12.0 && turned[2] > 40.0, "{turned:?}");
+}
+
 #[test]
 fn a_gripped_slab_slips_where_its_weight_exceeds_twice_friction_times_the_grip() {
     for (squeeze, friction) in [(1.0, 0.3), (1.0, 0.5), (0.5, 0.5)] {

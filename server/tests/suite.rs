@@ -546,8 +546,13 @@ fn a_moved_arm_shows_and_does_the_same() {
         let options = Options::new().with("setup", table(rows));
         let mut moved = Registry::builtin().make(id, &options).unwrap();
         let mut nominal = Registry::builtin().make(id, &Options::new()).unwrap();
-        // A block that is pressed onto the board moves the arm, and rounding the block.
-        let tolerance = if id == "BiPegTransfer-v0" { 1e-3 } else { 1e-5 };
+        // A block that is pressed onto the board moves the arm, and a needle between two pairs of jaws moves both,
+        // by up to 2.5 mm. Rounding moves block and needle.
+        let tolerance = match id {
+            "BiPegTransfer-v0" => 1e-3,
+            "NeedleRegrasp-v0" => 3e-3,
+            _ => 1e-5,
+        };
         for seed in 0..20 {
             moved.reset(Some(seed));
             nominal.reset(Some(seed));

@@ -16,8 +16,7 @@ use nalgebra::{Point3, Unit, UnitQuaternion, Vector3};
 
 use super::frames::{self, Aabb, Pose};
 use super::world::{
-    BodyId, Hinge, HingedId, Motion, Overlap, PREDICTION, Part, Push, SUBSTEPS_PER_SECOND, Shape,
-    TieId, World,
+    BodyId, Hinge, HingedId, Motion, Overlap, PREDICTION, Part, Push, Shape, TieId, World,
 };
 use crate::robots::Psm;
 
@@ -224,8 +223,7 @@ impl Instrument {
     pub fn tie(&mut self, world: &mut World, object: BodyId) {
         self.untie(world);
         if self.stale {
-            let posture = self.posture;
-            self.put_bodies(world, &posture);
+            self.put_bodies(world);
         }
         self.tied = Some((object, world.tie(self.wrist, object)));
     }
@@ -337,7 +335,7 @@ impl Instrument {
     /// closing on it, whichever way they are turned.
     pub(super) fn drive(&mut self, world: &mut World, next: Posture, crushes: bool) {
         if self.stale {
-            self.put_bodies(world, &next);
+            self.put_bodies(world);
         }
         world.drive(self.wrist, &next.world_from_wrist);
         match &self.fingers {
@@ -356,8 +354,14 @@ impl Instrument {
                 let most = YAW * deflection;
                 let aside =
                     if crushes { aside } else { f64::clamp(0.0, aside - most, aside + most) };
-                world.turn_hinged(&fingers[0], left, opening + aside);
-                world.turn_hinged(&fingers[1], right, opening - aside);
+                for (finger, angle, target) in [
+                    (&fingers[0], left, opening + aside),
+                    (&fingers[1], right, opening - aside),
+                ] {
+                    world.turn_hinged(finger, angle, target);
+                    world.carry_hinged(finger, angle, &next.world_from_wrist);
+                }
+                world.resist_rolling(fingers.each_ref().map(|finger| finger.body()));
             }
         }
         if let Some((object, _)) = self.tied {
@@ -366,21 +370,18 @@ impl Instrument {
         self.posture = next;
     }
 
-    /// Puts the bodies where the instrument is, moving as it must to be at `next` a substep later.
-    fn put_bodies(&mut self, world: &mut World, next: &Posture) {
-        let (now, then) = (self.posture.world_from_wrist, next.world_from_wrist);
-        let velocity = (then.translation.vector - now.translation.vector) * SUBSTEPS_PER_SECOND;
-        let rate = (then.rotation * now.rotation.inverse()).scaled_axis() * SUBSTEPS_PER_SECOND;
+    /// Puts the bodies where the instrument is.
+    fn put_bodies(&mut self, world: &mut World) {
         for body in self.bodies() {
             world.bring_back(body);
         }
-        world.place(self.wrist, &now);
+        world.place(self.wrist, &self.posture.world_from_wrist);
         for (index, side) in SIDES.into_iter().enumerate() {
             let pose = self.posture.world_from_finger(side);
             match &self.fingers {
                 Fingers::Locked(fingers) => world.place(fingers[index], &pose),
                 Fingers::Gripping { fingers, .. } => {
-                    world.place_hinged(&fingers[index], &pose, &velocity, &rate);
+                    world.place_hinged(&fingers[index], &pose);
                 }
             }
         }

@@ -18,6 +18,7 @@ use super::frames::{self, Aabb, Pose, SCALE};
 mod contact;
 mod hinge;
 mod inertia;
+mod rolling;
 #[cfg(test)]
 mod tests;
 mod tie;
@@ -191,6 +192,8 @@ struct Workspace {
     ccd: CCDSolver,
     /// The free objects that fall in this substep.
     falling: Vec<RigidBodyHandle>,
+    /// Where a pair of fingers pressed on one of them.
+    touches: Vec<rolling::Touch>,
 }
 
 impl Clone for Workspace {

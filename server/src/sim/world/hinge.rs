@@ -1,28 +1,31 @@
 //! Bodies that hang on driven ones by a hinge with a motor: the fingers of jaws.
 //!
-//! The engine solves joint, motor and contacts of a light finger badly: they fight. So a hinged body
-//! has its centre of mass on the hinge, and its inertia is the real one only where it turns; what
-//! the hinge takes up anyway is heavier. What it does to an object is then governed by the motor.
+//! The carrier bears all but the turn about the hinge, whatever pushes. So a hinged body has its centre of
+//! mass on the hinge, and its inertia is the real one only where it turns; for all else it is so heavy that
+//! nothing moves it. What it does to an object is then governed by its motor, the only row that the solver has
+//! for a hinge. The rest is kept by velocities: at the start of a substep the body gets those that bring it
+//! to where its carrier will be. (With five more rows a substep with a needle in the jaws took a third longer.)
 
-use nalgebra::{Unit, Vector3};
+use nalgebra::{Unit, UnitQuaternion, Vector3};
 use rapier3d::math::Vector as EngineVector;
 use rapier3d::prelude::{
-    ActiveHooks, Group, ImpulseJointHandle, InteractionGroups, InteractionTestMode, JointAxesMask,
-    JointAxis, MassProperties, MotorModel, RevoluteJointBuilder, RigidBodyBuilder,
+    ActiveHooks, GenericJointBuilder, Group, ImpulseJointHandle, InteractionGroups,
+    InteractionTestMode, JointAxesMask, JointAxis, MassProperties, MotorModel, RigidBodyBuilder,
 };
 
-use super::{BodyId, Part, World, collider};
+use super::{BodyId, Part, SUBSTEPS_PER_SECOND, World, collider};
 use crate::sim::frames::{self, Pose, SCALE};
 
-/// How much heavier a hinged body is about what its hinge takes up; found by trials of grasping.
-const CONDITIONING: f64 = 100.0;
+/// How much heavier than it is a hinged body is for what its carrier bears. The engine takes what has no finite
+/// mass for what nothing turns either.
+const BORNE: f64 = 1e6;
 
 /// Stiffness of the motor per inertia, 1/s²: its frequency is about half the rate of the solver's
 /// iterations over 2π.
 const STIFFNESS: f64 = 1e6;
 
-/// Distance from a limit below which the solver has a row for it, rad: one of the seven rows of a hinge, which
-/// does nothing further away. Nothing turns a finger by as much within a substep.
+/// Distance from a limit below which the solver has a row for it, rad. Nothing turns a finger by as much within
+/// a substep.
 const NEAR_LIMIT: f64 = 0.15;
 
 /// Contacts of hinged bodies are computed afresh in every substep. The engine keeps those of bodies
@@ -73,17 +76,16 @@ impl World {
     /// hangs on that.
     pub fn insert_hinged(&mut self, carrier: BodyId, hinge: &Hinge, parts: &[Part]) -> HingedId {
         // The axis is one of the body's, so its inertia is diagonal.
-        let along = hinge.axis.abs();
-        let inertia = (Vector3::repeat(CONDITIONING) - along * (CONDITIONING - 1.0))
-            * (hinge.inertia * f64::powi(SCALE, 5));
+        let factors = Vector3::repeat(BORNE) - hinge.axis.abs() * (BORNE - 1.0);
         let mass = MassProperties::new(
             EngineVector::ZERO,
-            (hinge.mass * CONDITIONING * f64::powi(SCALE, 3)) as f32,
-            EngineVector::new(inertia.x as f32, inertia.y as f32, inertia.z as f32),
+            (hinge.mass * BORNE * f64::powi(SCALE, 3)) as f32,
+            unscaled(&(factors * (hinge.inertia * f64::powi(SCALE, 5)))),
         );
         let body = RigidBodyBuilder::dynamic()
             .pose(*self.bodies[carrier.0].position())
             .additional_mass_properties(mass)
+            .gravity_scale(0.0)
             .can_sleep(false);
         let body = self.bodies.insert(body);
         let own = self.group_of(carrier);
@@ -98,12 +100,14 @@ impl World {
                 .active_hooks(NEVER_RECYCLED);
             self.colliders.insert_with_parent(collider, body, &mut self.bodies);
         }
-        let axis = EngineVector::new(hinge.axis.x as f32, hinge.axis.y as f32, hinge.axis.z as f32);
-        let joint = RevoluteJointBuilder::new(axis)
+        let axis = unscaled(&hinge.axis);
+        let joint = GenericJointBuilder::new(JointAxesMask::empty())
+            .local_axis1(axis)
+            .local_axis2(axis)
             .contacts_enabled(false)
-            .limits(hinge.limits.map(|limit| limit as f32))
-            .motor_model(MotorModel::AccelerationBased)
-            .motor_position(0.0, STIFFNESS as f32, DAMPING as f32);
+            .limits(JointAxis::AngX, hinge.limits.map(|limit| limit as f32))
+            .motor_model(JointAxis::AngX, MotorModel::AccelerationBased)
+            .motor_position(JointAxis::AngX, 0.0, STIFFNESS as f32, DAMPING as f32);
         let joint = self.impulse_joints.insert(carrier.0, body, joint, true);
         HingedId { body: BodyId(body), joint, axis: hinge.axis }
     }
@@ -116,18 +120,30 @@ impl World {
         Group::from_bits_retain(Group::GROUP_2.bits() << index)
     }
 
-    /// Sets where a hinged body is and how fast it moves (m/s, rad/s), at once.
-    pub fn place_hinged(
-        &mut self,
-        hinged: &HingedId,
-        world_from_body: &Pose,
-        velocity: &Vector3<f64>,
-        rate: &Vector3<f64>,
-    ) {
+    /// Sets where a hinged body is, at once. It does not turn about its hinge.
+    pub fn place_hinged(&mut self, hinged: &HingedId, world_from_body: &Pose) {
+        let rate = self.bodies[self.carrier(hinged).0].angvel();
         let body = &mut self.bodies[hinged.body.0];
         body.set_position(frames::to_engine(world_from_body), false);
-        body.set_linvel(frames::to_engine_vector(velocity), false);
-        body.set_angvel(EngineVector::new(rate.x as f32, rate.y as f32, rate.z as f32), false);
+        body.set_angvel(rate, false);
+    }
+
+    /// Makes a hinged body that is turned by `angle` (rad) go along with its carrier, which will be at
+    /// `world_from_carrier` a substep later.
+    pub fn carry_hinged(&mut self, hinged: &HingedId, angle: f64, world_from_carrier: &Pose) {
+        let now = self.pose(hinged.body);
+        let [own, carriers] = [hinged.body, self.carrier(hinged)].map(|body| {
+            let rate = self.bodies[body.0].angvel();
+            Vector3::new(rate.x, rate.y, rate.z).cast::<f64>()
+        });
+        let rate = (own - carriers).dot(&(now.rotation * *hinged.axis));
+        let then = angle + rate / SUBSTEPS_PER_SECOND;
+        let then = UnitQuaternion::from_axis_angle(&hinged.axis, then);
+        let turn = world_from_carrier.rotation * then * now.rotation.inverse();
+        let way = world_from_carrier.translation.vector - now.translation.vector;
+        let body = &mut self.bodies[hinged.body.0];
+        body.set_linvel(frames::to_engine_vector(&(way * SUBSTEPS_PER_SECOND)), false);
+        body.set_angvel(unscaled(&(turn.scaled_axis() * SUBSTEPS_PER_SECOND)), false);
     }
 
     /// The angle to which the motor of a hinged body turns it, from the angle where it is, rad.
@@ -143,19 +159,27 @@ impl World {
 
     /// How far a hinged body is turned, rad.
     pub fn hinge_angle(&self, hinged: &HingedId) -> f64 {
-        let joint = self.impulse_joints.get(hinged.joint).expect("joints stay");
         let carrier_from_body =
-            self.pose(BodyId(joint.body1())).rotation.inverse() * self.pose(hinged.body).rotation;
+            self.pose(self.carrier(hinged)).rotation.inverse() * self.pose(hinged.body).rotation;
         let q = carrier_from_body.quaternion();
         let (sine, cosine) = (q.imag().dot(&hinged.axis), q.scalar());
         // The shorter way round: both signs of a quaternion are the same rotation.
         2.0 * if cosine < 0.0 { libm::atan2(-sine, -cosine) } else { libm::atan2(sine, cosine) }
     }
 
+    fn carrier(&self, hinged: &HingedId) -> BodyId {
+        BodyId(self.impulse_joints.get(hinged.joint).expect("joints stay").body1())
+    }
+
     /// The pairs of bodies that a joint ties together.
     pub fn joints(&self) -> impl Iterator<Item = [BodyId; 2]> {
         self.impulse_joints.iter().map(|(_, joint)| [BodyId(joint.body1()), BodyId(joint.body2())])
     }
+}
+
+/// What has no lengths in it that the engine would scale: a direction, a rate of turning.
+fn unscaled(rate: &Vector3<f64>) -> EngineVector {
+    EngineVector::new(rate.x as f32, rate.y as f32, rate.z as f32)
 }
 
 /// Damping of the motor per inertia, 1/s: critical.

@@ -1,0 +1,118 @@
+//! What is gripped does not roll.
+//!
+//! Two fingers that press on a wire from both sides keep it from turning about itself by friction: each would
+//! have to slip. The engine's solver hardly sees that: its rows of friction, one contact after the other, stop
+//! the wire where it touches, and half a millimetre of lever is little beside the 7 mm to a needle's centre of
+//! mass. What is left swings like a flag, at some 40 Hz. So the friction of both sides is solved together here,
+//! at the start of a substep, with no more than the fingers can bear.
+
+use rapier3d::math::{Matrix, Vector};
+use rapier3d::prelude::RigidBodyHandle;
+
+use super::{BodyId, World};
+use crate::sim::frames::SCALE;
+
+/// Length below which contacts count as one point, m.
+const POINT: f64 = 0.1e-3;
+
+/// A place where a finger pressed on an object in the last substep, engine units.
+pub(super) struct Touch {
+    /// The first or the second finger.
+    finger: usize,
+    point: Vector,
+    /// The impulse along the normal.
+    impulse: f32,
+    /// The most that friction could add.
+    friction: f32,
+}
+
+impl World {
+    /// Makes what both `fingers` pressed on in the last substep roll no faster between them than they turn
+    /// themselves, as far as friction goes.
+    pub fn resist_rolling(&mut self, fingers: [BodyId; 2]) {
+        let rate = fingers.map(|finger| self.bodies[finger.0].angvel());
+        let mut touches = std::mem::take(&mut self.workspace.touches);
+        for index in 0..self.free.len() {
+            let object = self.free[index];
+            touches.clear();
+            for (index, finger) in fingers.iter().enumerate() {
+                self.touches(object, index, finger.0, &mut touches);
+            }
+            self.stop_rolling(object, &touches, 0.5 * (rate[0] + rate[1]));
+        }
+        self.workspace.touches = touches;
+    }
+
+    /// Where `finger`, the one of this number, pressed on `object`.
+    fn touches(
+        &self,
+        object: RigidBodyHandle,
+        number: usize,
+        finger: RigidBodyHandle,
+        touches: &mut Vec<Touch>,
+    ) {
+        for part in self.bodies[finger].colliders() {
+            for pair in self.narrow_phase.contact_pairs_with(*part) {
+                let [first, second] =
+                    [pair.collider1, pair.collider2].map(|part| &self.colliders[part]);
+                let met = if pair.collider1 == *part { second } else { first };
+                if met.parent() != Some(object) {
+                    continue;
+                }
+                let coefficient = 0.5 * (first.friction() + second.friction());
+                let contacts = pair.manifolds().iter().flat_map(|each| &each.points);
+                let pressing = contacts.filter(|contact| contact.data.impulse > 0.0);
+                touches.extend(pressing.map(|contact| Touch {
+                    finger: number,
+                    point: first.position().transform_point(contact.local_p1),
+                    impulse: contact.data.impulse,
+                    friction: coefficient * contact.data.impulse,
+                }));
+            }
+        }
+    }
+
+    /// Stops an object that turns otherwise than with `rate` about the line along which it is touched, or
+    /// about any direction across the grip if that is but a point. Turns about the other directions
+    /// are what the engine's rows are good at.
+    fn stop_rolling(&mut self, object: RigidBodyHandle, touches: &[Touch], rate: Vector) {
+        let mut sides = [(Vector::ZERO, 0.0, 0.0); 2];
+        for touch in touches {
+            let (moment, impulse, friction) = &mut sides[touch.finger];
+            *moment += touch.point * touch.impulse;
+            *impulse += touch.impulse;
+            *friction += touch.friction;
+        }
+        if sides.iter().any(|(_, impulse, _)| *impulse <= 0.0) {
+            return;
+        }
+        let [one, other] = sides.map(|(moment, impulse, _)| moment / impulse);
+        let (middle, span) = (0.5 * (one + other), (other - one).length());
+        let point = (POINT * SCALE) as f32;
+        if span < point {
+            return;
+        }
+        let axis = (other - one) / span;
+        let across = |vector: Vector| vector - axis * vector.dot(axis);
+        let line = touches
+            .iter()
+            .map(|touch| across(touch.point - middle))
+            .fold(Vector::ZERO, |most, each| if each.length() > most.length() { each } else { most });
+        let body = &mut self.bodies[object];
+        let turn = across(rate - body.angvel());
+        let turn =
+            if line.length() < point { turn } else { turn.dot(line) / line.length_squared() * line };
+        // The grip stays where it is, and the centre of mass turns about it.
+        let arm = body.center_of_mass() - middle;
+        let gain = turn.cross(arm);
+        let rotation = Matrix::from_quat(*body.rotation());
+        let properties = &body.mass_properties().local_mprops;
+        let inertia = rotation * properties.reconstruct_inertia_matrix() * rotation.transpose();
+        let moment = (inertia * turn + body.mass() * arm.cross(gain)).length();
+        let [(_, _, friction), (_, _, others)] = sides;
+        let most = span * friction.min(others);
+        let share = if moment > most { most / moment } else { 1.0 };
+        body.set_linvel(body.linvel() + gain * share, false);
+        body.set_angvel(body.angvel() + turn * share, false);
+    }
+}
