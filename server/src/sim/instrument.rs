@@ -354,14 +354,13 @@ impl Instrument {
                 let most = YAW * deflection;
                 let aside =
                     if crushes { aside } else { f64::clamp(0.0, aside - most, aside + most) };
-                for (finger, angle, target) in [
-                    (&fingers[0], left, opening + aside),
-                    (&fingers[1], right, opening - aside),
-                ] {
+                for (finger, angle, target) in
+                    [(&fingers[0], left, opening + aside), (&fingers[1], right, opening - aside)]
+                {
                     world.turn_hinged(finger, angle, target);
                     world.carry_hinged(finger, angle, &next.world_from_wrist);
                 }
-                world.resist_rolling(fingers.each_ref().map(|finger| finger.body()));
+                world.resist_rolling(fingers.each_ref().map(HingedId::body));
             }
         }
         if let Some((object, _)) = self.tied {

@@ -4,7 +4,7 @@
 //! mass on the hinge, and its inertia is the real one only where it turns; for all else it is so heavy that
 //! nothing moves it. What it does to an object is then governed by its motor, the only row that the solver has
 //! for a hinge. The rest is kept by velocities: at the start of a substep the body gets those that bring it
-//! to where its carrier will be. (With five more rows a substep with a needle in the jaws took a third longer.)
+//! to where its carrier will be. (With five more rows, NeedleRegrasp's random steps took 1.28 times as long.)
 
 use nalgebra::{Unit, UnitQuaternion, Vector3};
 use rapier3d::math::Vector as EngineVector;

@@ -94,14 +94,17 @@ impl World {
         }
         let axis = (other - one) / span;
         let across = |vector: Vector| vector - axis * vector.dot(axis);
-        let line = touches
-            .iter()
-            .map(|touch| across(touch.point - middle))
-            .fold(Vector::ZERO, |most, each| if each.length() > most.length() { each } else { most });
+        let line = touches.iter().map(|touch| across(touch.point - middle)).fold(
+            Vector::ZERO,
+            |most, each| if each.length() > most.length() { each } else { most },
+        );
         let body = &mut self.bodies[object];
         let turn = across(rate - body.angvel());
-        let turn =
-            if line.length() < point { turn } else { turn.dot(line) / line.length_squared() * line };
+        let turn = if line.length() < point {
+            turn
+        } else {
+            turn.dot(line) / line.length_squared() * line
+        };
         // The grip stays where it is, and the centre of mass turns about it.
         let arm = body.center_of_mass() - middle;
         let gain = turn.cross(arm);
