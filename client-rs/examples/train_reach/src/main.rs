@@ -19,7 +19,7 @@ use anyhow::{bail, ensure};
 use clap::Parser;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
-use replay::Replay;
+use replay::{Episodes, Replay};
 use trocar_client::{Client, Reply, Session, SessionRequest};
 
 /// Share of episodes that must end in success.
@@ -109,7 +109,7 @@ fn collect(
     replay: &mut Replay,
     rng: &mut ChaCha8Rng,
 ) -> anyhow::Result<Reply> {
-    let mut episodes = replay.begin(&reply);
+    let mut episodes = Episodes::begin(&reply);
     loop {
         let actions = agent.explore(reply.observation(), reply.desired_goal(), rng)?;
         reply = session.step(&actions)?;

@@ -21,6 +21,17 @@ pub(crate) struct Episodes {
 }
 
 impl Episodes {
+    /// Those that begin with this reply.
+    pub(crate) fn begin(reply: &Reply) -> Self {
+        Self {
+            envs: reply.rows(),
+            desired: reply.desired_goal().to_vec(),
+            observations: reply.observation().to_vec(),
+            achieved: reply.achieved_goal().to_vec(),
+            actions: vec![],
+        }
+    }
+
     /// Adds a step: what was done, and where that led.
     pub(crate) fn add(&mut self, actions: &[f32], observations: &[f32], achieved: &[f32]) {
         self.actions.extend_from_slice(actions);
@@ -47,17 +58,6 @@ pub(crate) struct Replay {
 impl Replay {
     pub(crate) fn new(spec: TaskSpec) -> Self {
         Self { spec, kept: vec![] }
-    }
-
-    /// Episodes that begin with this reply.
-    pub(crate) fn begin(&self, reply: &Reply) -> Episodes {
-        Episodes {
-            envs: reply.rows(),
-            desired: reply.desired_goal().to_vec(),
-            observations: reply.observation().to_vec(),
-            achieved: reply.achieved_goal().to_vec(),
-            actions: vec![],
-        }
     }
 
     pub(crate) fn keep(&mut self, episodes: Episodes) {
