@@ -35,10 +35,14 @@ impl World {
         for index in 0..self.free.len() {
             let object = self.free[index];
             touches.clear();
-            for (index, finger) in fingers.iter().enumerate() {
-                self.touches(object, index, finger.0, &mut touches);
+            let is_gripped = fingers.iter().enumerate().all(|(number, finger)| {
+                let others = touches.len();
+                self.touches(object, number, finger.0, &mut touches);
+                touches.len() > others
+            });
+            if is_gripped {
+                self.stop_rolling(object, &touches, 0.5 * (rate[0] + rate[1]));
             }
-            self.stop_rolling(object, &touches, 0.5 * (rate[0] + rate[1]));
         }
         self.workspace.touches = touches;
     }
@@ -82,9 +86,6 @@ impl World {
             *moment += touch.point * touch.impulse;
             *impulse += touch.impulse;
             *friction += touch.friction;
-        }
-        if sides.iter().any(|(_, impulse, _)| *impulse <= 0.0) {
-            return;
         }
         let [one, other] = sides.map(|(moment, impulse, _)| moment / impulse);
         let (middle, span) = (0.5 * (one + other), (other - one).length());
