@@ -143,6 +143,7 @@ fn gripped_staple(friction: f64) -> (World, Instrument, BodyId, f64) {
     travel([&mut arm], &mut world, [at(0.05e-3, JAW_CLOSED)], 96);
     travel([&mut arm], &mut world, [at(0.03, JAW_CLOSED)], 96);
     assert!(arm.holds(&world, staple));
+    // Wires weigh by their length and about a radius more.
     (world, arm, staple, 2.0 * 15.5e-3 * 7.5e-3 / (2.0 * 15.5e-3 + 16.5e-3))
 }
 
