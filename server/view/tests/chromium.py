@@ -223,7 +223,9 @@ class Chromium:
         )
 
     def picture(self) -> bytes:
-        """The page as a PNG."""
+        """The page as a PNG, once it has drawn what was asked of it before."""
+        drawn = "new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))"
+        self.call("Runtime.evaluate", expression=drawn, awaitPromise=True)
         return base64.b64decode(self.call("Page.captureScreenshot", format="png")["data"])
 
 

@@ -258,13 +258,19 @@ def play(address: str) -> None:
         browser.press(",")
         browser.press(",")
         assert browser.run(step) == "6 / 50"
-        # What is shown differs from place to place, and is the same at the same place.
+        # What is shown differs from place to place, and is the same at the same place: unless the
+        # page has just become coarser because the machine is slow, which it does at most thrice.
         browser.run(BARE)
-        early = browser.picture()
-        browser.run(f"({slide})(30)")
-        assert changed(early, browser.picture()) > 300
-        browser.run(f"({slide})(6)")
-        assert changed(early, browser.picture()) < 20
+
+        def at(place: int) -> bytes:
+            browser.run(f"({slide})({place})")
+            return browser.picture()
+
+        def there_and_back() -> bool:
+            early, late, again = at(6), at(30), at(6)
+            return changed(early, late) > 300 and changed(early, again) < 20
+
+        browser.wait("the same place looks the same", there_and_back)
         # To the end again, with the same sum of rewards; then the other episode.
         browser.press(" ")
         browser.wait_for(f"{step} === '50 / 50'")
