@@ -18,6 +18,7 @@ use super::frames::{self, Aabb, Pose, SCALE};
 mod contact;
 mod hinge;
 mod inertia;
+mod reach;
 mod rolling;
 #[cfg(test)]
 mod tests;
@@ -388,7 +389,7 @@ impl World {
             &mut self.multibody_joints,
             &mut self.soft_bodies,
             &mut self.workspace.ccd,
-            &(),
+            &reach::WithinReach,
             &(),
         );
     }
