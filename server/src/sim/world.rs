@@ -18,7 +18,6 @@ use super::frames::{self, Aabb, Pose, SCALE};
 mod contact;
 mod hinge;
 mod inertia;
-mod reach;
 mod rolling;
 #[cfg(test)]
 mod tests;
@@ -389,7 +388,7 @@ impl World {
             &mut self.multibody_joints,
             &mut self.soft_bodies,
             &mut self.workspace.ccd,
-            &reach::WithinReach,
+            &(),
             &(),
         );
     }

@@ -31,8 +31,7 @@ const NEAR_LIMIT: f64 = 0.15;
 /// Contacts of hinged bodies are computed afresh in every substep. The engine keeps those of bodies
 /// that hardly move against each other as they were *in the world* until both have turned by 11°; a
 /// jaw that turns with what it holds would press and drag along stale normals, and what is held
-/// creeps out of it. It never keeps contacts that a hook may change; ours leaves out [what is out of
-/// reach](super::reach).
+/// creeps out of it. It never keeps contacts that a hook may change; no hook is there to do so.
 const NEVER_RECYCLED: ActiveHooks = ActiveHooks::MODIFY_SOLVER_CONTACTS;
 
 /// What a hinged body is like.
@@ -87,7 +86,6 @@ impl World {
             .pose(*self.bodies[carrier.0].position())
             .additional_mass_properties(mass)
             .gravity_scale(0.0)
-            .gyroscopic_forces_enabled(false) // its inertia is not real but about the hinge
             .can_sleep(false);
         let body = self.bodies.insert(body);
         let own = self.group_of(carrier);
