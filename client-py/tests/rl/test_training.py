@@ -26,13 +26,12 @@ SMALL: dict[str, Any] = {
     "epochs": 3,
     "epoch_episodes": 4,
     "eval_episodes": 4,
-    "updates": 60,
     "batch_size": 64,
 }
 RUNS: dict[str, tuple[str, dict[str, Any]]] = {
-    "her": ("NeedleReach-v0", {}),
-    "her-demo": ("NeedlePick-v0", {"demos": 3, "demo_batch": 16}),
-    "ddpg": ("ActiveTrack-v0", {"learning_starts": 400, "train_every": 250}),
+    "her": ("NeedleReach-v0", {"updates": 60}),
+    "her-demo": ("NeedlePick-v0", {"updates": 60, "demos": 3, "demo_batch": 16}),
+    "ddpg": ("ActiveTrack-v0", {"updates": 60, "learning_starts": 400, "train_every": 250}),
     "ppo": ("NeedleReach-v0", {"envs": 4, "train_every": 50, "passes": 5, "batch_size": 50}),
 }
 TIMES = ("wall_s", "trainer_cpu_s", "server_cpu_s")
@@ -235,6 +234,9 @@ def test_curves_are_means_over_seeds(tmp_path: Path) -> None:
         ("NeedlePick", "her", {"train_every": 25}, "multiples of 50"),
         ("NeedlePick", "her-demo", {"demo_batch": 5000}, "demo_batch"),
         ("NeedlePick", "her", {"inputs": ["smell"]}, "inputs"),
+        ("ActiveTrack", "ddpg", {"action_l2": 1.0}, "ddpg does not use it"),
+        ("NeedlePick", "her", {"clone_weight": 1.0}, "her-demo"),
+        ("NeedlePick", "ppo", {"noise": 0.1}, "ppo does not use it"),
     ],
 )
 def test_bad_configurations_are_refused(

@@ -22,6 +22,14 @@ else:
 ALGORITHMS = ("ddpg", "her", "her-demo", "ppo")
 """DDPG, DDPG with hindsight replay, the same with demonstrations, PPO."""
 
+_PARTS = {
+    ("ddpg", "her", "her-demo"): ("buffer_size", "learning_starts", "updates", "tau", "noise"),
+    ("her", "her-demo"): ("random_actions", "goals", "action_l2"),
+    ("her-demo",): ("demos", "demo_batch", "policy_weight", "clone_weight", "q_filter"),
+    ("ppo",): ("passes", "gae_lambda", "clip_range"),
+}
+"""The algorithms that only some of the fields are for, and these."""
+
 
 @dataclass(frozen=True)
 class Config:
@@ -179,6 +187,11 @@ def _checked(config: Config) -> Config:
         if not holds:
             raise refuse(InvalidOption, name, getattr(config, name), allowed)
 
+    defaults = {known.name: known.default for known in fields(Config)}
+    for algorithms, names in _PARTS.items():
+        for name in names if config.algo not in algorithms else ():
+            allowed = f"{config.algo} does not use it: it is for {list(algorithms)}"
+            check(getattr(config, name) == defaults[name], name, allowed)
     goals = config.task != "ActiveTrack-v0"
     if not goals:
         allowed = "the task has no goals: allowed are ['ddpg', 'ppo']"
