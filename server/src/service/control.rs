@@ -24,6 +24,7 @@ use super::session::{self, Account};
 use super::store::Ledger;
 use super::witness::Failures;
 use super::{ServeError, ServerConfig, StopSignal, internal};
+use crate::clock::thread_time;
 use crate::tasks::Registry;
 use crate::view::View;
 use crate::view::source::About;
@@ -79,7 +80,7 @@ pub(super) fn run(
         stop: stop.clone(),
     };
     let mut watch = Watch::new(config);
-    let mut looked = Instant::now();
+    let (mut looked, mut pause) = (Instant::now(), lease::INTERVAL);
     ready();
     let metrics = exporter.as_ref().map(|exporter| tracing::field::display(exporter.address));
     let seen = host.view.as_ref().map(|view| tracing::field::display(view.address()));
@@ -87,11 +88,13 @@ pub(super) fn run(
     tracing::info!(%name, pid, threads, metrics, view = seen, "serving");
     while !stop.is_set() {
         host.answer_waiting(&port);
-        if looked.elapsed() >= lease::INTERVAL {
+        if looked.elapsed() >= pause {
+            let computed = thread_time();
             looked = Instant::now();
             host.sweep(&mut watch);
+            pause = lease::pause(thread_time().saturating_sub(computed));
         }
-        let patience = lease::INTERVAL.saturating_sub(looked.elapsed());
+        let patience = pause.saturating_sub(looked.elapsed());
         match bell.timed_wait(|_| {}, patience.max(LEAST_WAIT)) {
             Ok(_) | Err(ListenerWaitError::InterruptSignal) => {}
             Err(error) => {

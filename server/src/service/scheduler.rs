@@ -73,10 +73,12 @@ impl Turns {
 
     /// How many have their turn before `waiter`, of those who may run; 0 if it does not wait.
     fn before(&self, waiter: &Arc<Waiter>) -> usize {
-        let mine = self.waiting.iter().find(|each| Arc::ptr_eq(&each.waiter, waiter));
-        let Some(mine) = mine else { return 0 };
-        let earlier = |each: &&Waiting| each.share.left() > 0 && each.spent < mine.spent;
-        self.waiting.iter().filter(earlier).count()
+        let index = self.waiting.iter().position(|each| Arc::ptr_eq(&each.waiter, waiter));
+        let Some(index) = index else { return 0 };
+        let mine = (self.waiting[index].spent, index);
+        let others = self.waiting.iter().enumerate();
+        let may_run = others.filter(|(_, each)| each.share.left() > 0);
+        may_run.filter(|(other, each)| (each.spent, *other) < mine).count()
     }
 
     /// Lets one of those who wait have a thread.
