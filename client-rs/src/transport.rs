@@ -22,7 +22,8 @@ pub(crate) use crate::owned::Owned;
 /// How long a wait may last before the server's life is checked.
 pub(crate) const SLICE: Duration = Duration::from_millis(100);
 
-/// How long the first wait may last: then the session's thread is woken up, whatever the bell says.
+/// How long the first wait may last, if replies do not usually take half as long: then the session's thread
+/// is woken up, whatever the bell says.
 const NUDGE: Duration = Duration::from_millis(20);
 
 /// How long control replies are polled for without sleeping.
@@ -161,6 +162,8 @@ pub(crate) struct DataPort {
     port: Port,
     bells: Bells,
     vigil: Vigil,
+    /// How long replies were waited for lately.
+    usual: Duration,
     request_bytes: usize,
     session: u64,
     link: Arc<Owned<Link>>,
@@ -191,7 +194,8 @@ impl DataPort {
             .map_err(transport("data port"))?;
         let bells = Bells::open(link.membership.endpoint(), epoch, session);
         let bells = bells.map_err(transport("session bells"))?;
-        Ok(Self { port, bells, vigil: Vigil::new(), request_bytes, session, link })
+        let (vigil, usual) = (Vigil::new(), Duration::ZERO);
+        Ok(Self { port, bells, vigil, usual, request_bytes, session, link })
     }
 
     /// Sends a request whose payload `fill` writes.
@@ -215,8 +219,9 @@ impl DataPort {
         pending: &RawPending,
         patience: Duration,
     ) -> Result<Option<RawReply>, CallError> {
-        let deadline = Instant::now() + patience;
-        let mut slice = NUDGE;
+        let start = Instant::now();
+        let deadline = start + patience;
+        let mut slice = (2 * self.usual).clamp(NUDGE, SLICE);
         self.vigil.begin();
         loop {
             let seen = self.bells.reply().count();
@@ -225,6 +230,7 @@ impl DataPort {
             match pending.receive() {
                 Ok(Some(reply)) => {
                     self.vigil.end();
+                    self.usual = (self.usual + start.elapsed()) / 2;
                     return Ok(Some(reply));
                 }
                 Ok(None) if held => {}
