@@ -435,6 +435,39 @@ mod tests {
     }
 
     #[test]
+    fn a_queue_of_small_ones_goes_ahead_of_a_long_turn_whoever_has_computed_least_first() {
+        let scheduler = Scheduler::new(1).unwrap();
+        let [long, first] = [(); 2].map(|()| scheduler.separate());
+        let turn = long.acquire(1, false);
+        // They arrive from the last to the first, and two have computed as much.
+        let spent = [40, 30, 30, 20, 10];
+        let done = Mutex::new(vec![]);
+        std::thread::scope(|scope| {
+            let block = first.acquire(1, true);
+            for (index, spent) in spent.into_iter().enumerate() {
+                let small = scheduler.separate();
+                small.spent.store(spent, Ordering::Relaxed);
+                let done = &done;
+                scope.spawn(move || {
+                    let turn = small.acquire(1, true);
+                    done.lock().unwrap().push((spent, index, turn.ahead));
+                });
+                while scheduler.lock().waiting.len() <= index {
+                    std::thread::yield_now();
+                }
+            }
+            drop(block);
+        });
+        let done = done.into_inner().unwrap();
+        assert_eq!(
+            done,
+            [(10, 4, true), (20, 3, true), (30, 1, true), (30, 2, true), (40, 0, true)]
+        );
+        drop(turn);
+        assert_eq!(scheduler.lock().free, 1);
+    }
+
+    #[test]
     fn who_needs_little_does_not_wait_for_the_end_of_a_long_turn() {
         let scheduler = Scheduler::new(1).unwrap();
         let [long, small, large] = [(); 3].map(|()| scheduler.separate());
