@@ -16,10 +16,10 @@ use super::ServerConfig;
 /// How often the server looks, if that takes no more than a hundredth of a core.
 pub(super) const INTERVAL: Duration = Duration::from_millis(250);
 
-/// How often it looks however long that takes.
+/// How often it looks at least, however long that takes.
 const LONGEST: Duration = Duration::from_secs(1);
 
-/// How long the server waits after a look that took `computed` of a core: with 64 clients that is 10 ms.
+/// How long the server waits after a look for which it computed for so long: with 64 clients 10 ms.
 pub(super) fn pause(computed: Duration) -> Duration {
     (computed * 100).clamp(INTERVAL, LONGEST)
 }
