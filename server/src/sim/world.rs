@@ -18,6 +18,7 @@ use super::frames::{self, Aabb, Pose, SCALE};
 mod contact;
 mod hinge;
 mod inertia;
+mod points;
 mod rolling;
 #[cfg(test)]
 mod tests;
@@ -356,6 +357,7 @@ impl World {
         for body in &self.free {
             self.fastest = self.fastest.max(self.bodies[*body].linvel().length());
         }
+        self.forget_rolling();
     }
 
     /// Whether no instrument takes part and no object is fast.
@@ -388,7 +390,7 @@ impl World {
             &mut self.multibody_joints,
             &mut self.soft_bodies,
             &mut self.workspace.ccd,
-            &(),
+            &points::Needed,
             &(),
         );
     }

@@ -5,6 +5,7 @@ use rapier3d::parry::bounding_volume::BoundingVolume;
 use rapier3d::parry::query;
 use rapier3d::prelude::{ColliderHandle, ContactPair};
 
+use super::points::pressing;
 use super::{BodyId, PREDICTION, SUBSTEPS_PER_SECOND, World};
 use crate::sim::frames::{self, Pose, SCALE};
 
@@ -92,7 +93,7 @@ impl World {
         let newtons = SUBSTEPS_PER_SECOND / f64::powi(SCALE, 4);
         let parts = self.bodies[body.0].colliders().iter();
         let pairs = parts.flat_map(|part| self.narrow_phase.contact_pairs_with(*part));
-        let contacts = pairs.flat_map(ContactPair::manifolds).flat_map(|each| &each.points);
+        let contacts = pairs.flat_map(ContactPair::manifolds).flat_map(pressing);
         contacts.map(|contact| newtons * f64::from(contact.data.impulse)).sum()
     }
 
@@ -111,8 +112,7 @@ impl World {
             let manifolds = pair.manifolds().iter();
             manifolds.flat_map(move |manifold| {
                 let normal = frames::from_engine_vector(manifold.data.normal);
-                let pressing = manifold.points.iter().filter(|point| point.data.impulse > 0.0);
-                pressing.map(move |point| {
+                pressing(manifold).map(move |point| {
                     let at = parts[0].position().transform_point(point.local_p1);
                     Contact {
                         on: BodyId(owners[feels]),
@@ -159,10 +159,10 @@ impl World {
                 let mut touches = false;
                 for manifold in pair.manifolds() {
                     let normal = frames::from_engine_vector(manifold.data.normal);
-                    for contact in &manifold.points {
+                    for contact in pressing(manifold) {
                         let force = normal * (sign * f64::from(contact.data.impulse));
                         push.force += force;
-                        touches |= contact.data.impulse > 0.0;
+                        touches = true;
                         if force.norm() > push.strongest {
                             let local = if first { contact.local_p1 } else { contact.local_p2 };
                             let point = collider.position().transform_point(local);
@@ -270,6 +270,5 @@ impl World {
 
 /// Whether two parts pressed on each other in the last substep.
 pub(super) fn presses(pair: &ContactPair) -> bool {
-    let mut contacts = pair.manifolds().iter().flat_map(|each| &each.points);
-    contacts.any(|contact| contact.data.impulse > 0.0)
+    pair.manifolds().iter().any(|manifold| pressing(manifold).next().is_some())
 }

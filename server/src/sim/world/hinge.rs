@@ -28,11 +28,11 @@ const STIFFNESS: f64 = 1e6;
 /// a substep.
 const NEAR_LIMIT: f64 = 0.15;
 
-/// Contacts of hinged bodies are computed afresh in every substep. The engine keeps those of bodies
-/// that hardly move against each other as they were *in the world* until both have turned by 11°; a
-/// jaw that turns with what it holds would press and drag along stale normals, and what is held
-/// creeps out of it. It never keeps contacts that a hook may change; no hook is there to do so.
-const NEVER_RECYCLED: ActiveHooks = ActiveHooks::MODIFY_SOLVER_CONTACTS;
+/// Contacts of hinged bodies are looked through by [`points`](super::points), and so computed afresh in every
+/// substep. The engine keeps those of bodies that hardly move against each other as they were *in the world*
+/// until both have turned by 11°; a jaw that turns with what it holds would press and drag along stale
+/// normals, and what is held creeps out of it.
+const LOOKED_THROUGH: ActiveHooks = ActiveHooks::MODIFY_SOLVER_CONTACTS;
 
 /// What a hinged body is like.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -86,6 +86,7 @@ impl World {
             .pose(*self.bodies[carrier.0].position())
             .additional_mass_properties(mass)
             .gravity_scale(0.0)
+            .gyroscopic_forces_enabled(false) // none about the hinge, where both other moments are alike
             .can_sleep(false);
         let body = self.bodies.insert(body);
         let own = self.group_of(carrier);
@@ -97,7 +98,7 @@ impl World {
                 .density(0.0)
                 .friction(hinge.friction as f32)
                 .collision_groups(groups)
-                .active_hooks(NEVER_RECYCLED);
+                .active_hooks(LOOKED_THROUGH);
             self.colliders.insert_with_parent(collider, body, &mut self.bodies);
         }
         let axis = unscaled(&hinge.axis);

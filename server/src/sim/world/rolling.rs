@@ -3,17 +3,23 @@
 //! Two fingers that press on a wire from both sides keep it from turning about itself by friction: each would
 //! have to slip. The engine's solver hardly sees that: its rows of friction, one contact after the other, stop
 //! the wire where it touches, and half a millimetre of lever is little beside the 7 mm to a needle's centre of
-//! mass. What is left swings like a flag, at some 40 Hz. So the friction of both sides is solved together here,
-//! at the start of a substep, with no more than the fingers can bear.
+//! mass. What is left swings like a flag, at some 40 Hz, and creeps under load. So the friction of both sides is
+//! solved together here, at the start of a substep, with no more than the fingers can bear.
 
+use nalgebra::Vector3;
 use rapier3d::math::{Matrix, Vector};
 use rapier3d::prelude::RigidBodyHandle;
 
-use super::{BodyId, World};
-use crate::sim::frames::SCALE;
+use super::points::pressing;
+use super::{BodyId, GRAVITY, SUBSTEPS_PER_SECOND, World};
+use crate::sim::frames::{self, SCALE};
 
 /// Length below which contacts count as one point, m.
 const POINT: f64 = 0.1e-3;
+
+/// How much of the friction is used here. The engine's rows still have all of it: with both, a wire begins to
+/// roll where the couple is that of friction at both sides, or a tenth more.
+const SHARE: f32 = 0.6;
 
 /// A place where a finger pressed on an object in the last substep, engine units.
 pub(super) struct Touch {
@@ -47,6 +53,15 @@ impl World {
         self.workspace.touches = touches;
     }
 
+    /// Ends what fingers bore in the substep that has passed.
+    pub(super) fn forget_rolling(&mut self) {
+        for body in &self.free {
+            if self.bodies[*body].user_torque() != Vector::ZERO {
+                self.bodies[*body].reset_torques(false);
+            }
+        }
+    }
+
     /// Where `finger`, the one of this number, pressed on `object`.
     fn touches(
         &self,
@@ -64,9 +79,8 @@ impl World {
                     continue;
                 }
                 let coefficient = 0.5 * (first.friction() + second.friction());
-                let contacts = pair.manifolds().iter().flat_map(|each| &each.points);
-                let pressing = contacts.filter(|contact| contact.data.impulse > 0.0);
-                touches.extend(pressing.map(|contact| Touch {
+                let contacts = pair.manifolds().iter().flat_map(pressing);
+                touches.extend(contacts.map(|contact| Touch {
                     finger: number,
                     point: first.position().transform_point(contact.local_p1),
                     impulse: contact.data.impulse,
@@ -77,8 +91,9 @@ impl World {
     }
 
     /// Stops an object that turns otherwise than with `rate` about the line along which it is touched, or
-    /// about any direction across the grip if that is but a point. Turns about the other directions
-    /// are what the engine's rows are good at.
+    /// about any direction across the grip if that is but a point, and bears for the substep to come what
+    /// turns it so: its weight and what pulls at it. Turns about the other directions are what the engine's
+    /// rows are good at.
     fn stop_rolling(&mut self, object: RigidBodyHandle, touches: &[Touch], rate: Vector) {
         let mut sides = [(Vector::ZERO, 0.0, 0.0); 2];
         for touch in touches {
@@ -100,23 +115,29 @@ impl World {
             |most, each| if each.length() > most.length() { each } else { most },
         );
         let body = &mut self.bodies[object];
-        let turn = across(rate - body.angvel());
-        let turn = if line.length() < point {
-            turn
-        } else {
-            turn.dot(line) / line.length_squared() * line
+        let rolling = |vector: Vector| {
+            if line.length() < point {
+                across(vector)
+            } else {
+                vector.dot(line) / line.length_squared() * line
+            }
         };
         // The grip stays where it is, and the centre of mass turns about it.
         let arm = body.center_of_mass() - middle;
+        let turn = rolling(rate - body.angvel());
         let gain = turn.cross(arm);
         let rotation = Matrix::from_quat(*body.rotation());
         let properties = &body.mass_properties().local_mprops;
         let inertia = rotation * properties.reconstruct_inertia_matrix() * rotation.transpose();
-        let moment = (inertia * turn + body.mass() * arm.cross(gain)).length();
+        let weight = body.mass() * frames::to_engine_vector(&Vector3::new(0.0, 0.0, -GRAVITY));
+        let load = rolling(arm.cross(weight + body.user_force()));
+        let borne = load / SUBSTEPS_PER_SECOND as f32;
+        let moment = (inertia * turn + body.mass() * arm.cross(gain) - borne).length();
         let [(_, _, friction), (_, _, others)] = sides;
-        let most = span * friction.min(others);
+        let most = (SHARE * span) * friction.min(others);
         let share = if moment > most { most / moment } else { 1.0 };
         body.set_linvel(body.linvel() + gain * share, false);
         body.set_angvel(body.angvel() + turn * share, false);
+        body.add_torque(-load * share, false);
     }
 }

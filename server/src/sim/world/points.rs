@@ -1,0 +1,88 @@
+//! Where the solver has contacts, and what they bear.
+//!
+//! Where a capsule lies on a face, the engine finds each end of their common line twice, and the deeper one a
+//! third time. Three of the five are solved, not the same ones in every substep; the others keep what they
+//! bore when they were solved last, and pass it on as a start. So contacts of fingers are reduced to
+//! one for each place, always the same one, and what is borne is read from those that are solved.
+
+use rapier3d::geometry::{
+    ContactData, ContactManifold, NEW_CONTACT_BIT, SolverContact, TrackedContact,
+};
+use rapier3d::math::Vector;
+use rapier3d::parry::shape::PackedFeatureId;
+use rapier3d::prelude::{
+    ContactModificationContext, ModifiableContacts, PhysicsHooks, RigidBodyHandle,
+};
+
+use super::SUBSTEPS_PER_SECOND;
+use crate::sim::frames::SCALE;
+
+/// Distance below which points are one place, m: far above rounding, far below what is between the ends
+/// of a line on a finger.
+const PLACE: f64 = 1e-6;
+
+/// Distance up to which the solver has a contact of a finger, m; further away only where both come as near
+/// within the substep, going on as they do. What is thrown at a finger by another at 0.07 m/s is seen.
+const NEAR: f64 = 0.3e-3;
+
+type Point = TrackedContact<ContactData>;
+
+/// Leaves the solver one contact of a finger for each place, and none that is out of reach.
+pub(super) struct Needed;
+
+impl PhysicsHooks for Needed {
+    fn modify_solver_contacts(&self, context: &mut ContactModificationContext) {
+        let bodies = context.bodies;
+        let speed = |body: Option<RigidBodyHandle>, at: Vector| {
+            let body = body.and_then(|body| bodies.get(body));
+            body.map_or(Vector::ZERO, |body| body.velocity_at_point(at))
+        };
+        let [one, other] = [context.rigid_body1, context.rigid_body2];
+        let near = (NEAR * SCALE) as f32;
+        let ModifiableContacts::Rigid(rigid) = &mut context.contacts else { return };
+        // Normals point from the first body to the second.
+        let normal = *rigid.normal;
+        let is_in_reach = |contact: &SolverContact| {
+            let parting = speed(other, contact.anchor2) - speed(one, contact.anchor1);
+            contact.dist < near
+                || contact.dist + parting.dot(normal) / (SUBSTEPS_PER_SECOND as f32) < near
+        };
+        let points = &rigid.manifold.points;
+        let mut kept = 0;
+        for index in 0..rigid.solver_contacts.len() {
+            let mut contact = rigid.solver_contacts[index];
+            let point = last_at_place_of(points, index_of(&contact));
+            let is_kept = rigid.solver_contacts[..kept].iter().any(|one| index_of(one) == point);
+            if is_kept || !is_in_reach(&contact) {
+                continue;
+            }
+            let is_new = points[point].data.impulse == 0.0;
+            contact.contact_id = [point as u32 | if is_new { NEW_CONTACT_BIT } else { 0 }];
+            rigid.solver_contacts[kept] = contact;
+            kept += 1;
+        }
+        rigid.solver_contacts.truncate(kept);
+    }
+}
+
+/// The point at the place of another whose data the engine passes on to the next substep's: the last one of
+/// those that it can tell apart.
+fn last_at_place_of(points: &[Point], found: usize) -> usize {
+    let apart = (PLACE * SCALE) as f32;
+    let is_at_place = |point: &Point| {
+        point.fid1 != PackedFeatureId::UNKNOWN
+            && point.local_p1.distance_squared(points[found].local_p1) < apart * apart
+    };
+    points.iter().rposition(is_at_place).unwrap_or(found)
+}
+
+fn index_of(contact: &SolverContact) -> usize {
+    contact.contact_indices()[0] as usize
+}
+
+/// The points at which two parts pressed on each other in the last substep.
+pub(super) fn pressing(manifold: &ContactManifold) -> impl Iterator<Item = &Point> {
+    let solved = manifold.data.solver_contacts.iter();
+    let points = solved.map(|contact| &manifold.points[index_of(contact)]);
+    points.filter(|point| point.data.impulse > 0.0)
+}
