@@ -193,7 +193,9 @@ struct Workspace {
     ccd: CCDSolver,
     /// The free objects that fall in this substep.
     falling: Vec<RigidBodyHandle>,
-    /// Where a pair of fingers pressed on one of them.
+    /// Those that fingers hold, and nothing else touches.
+    held: Vec<RigidBodyHandle>,
+    /// Where a pair of fingers pressed on a free object.
     touches: Vec<rolling::Touch>,
 }
 
@@ -357,7 +359,7 @@ impl World {
         for body in &self.free {
             self.fastest = self.fastest.max(self.bodies[*body].linvel().length());
         }
-        self.forget_rolling();
+        self.end_grips();
     }
 
     /// Whether no instrument takes part and no object is fast.
@@ -390,7 +392,7 @@ impl World {
             &mut self.multibody_joints,
             &mut self.soft_bodies,
             &mut self.workspace.ccd,
-            &points::Needed,
+            &points::Needed { held: &self.workspace.held },
             &(),
         );
     }

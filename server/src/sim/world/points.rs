@@ -8,52 +8,45 @@
 use rapier3d::geometry::{
     ContactData, ContactManifold, NEW_CONTACT_BIT, SolverContact, TrackedContact,
 };
-use rapier3d::math::Vector;
 use rapier3d::parry::shape::PackedFeatureId;
 use rapier3d::prelude::{
     ContactModificationContext, ModifiableContacts, PhysicsHooks, RigidBodyHandle,
 };
 
-use super::SUBSTEPS_PER_SECOND;
 use crate::sim::frames::SCALE;
 
 /// Distance below which points are one place, m: far above rounding, far below what is between the ends
 /// of a line on a finger.
 const PLACE: f64 = 1e-6;
 
-/// Distance up to which the solver has a contact of a finger, m; further away only where both come as near
-/// within the substep, going on as they do. What is thrown at a finger by another at 0.07 m/s is seen.
+/// Distance up to which the solver has a contact of a finger with what it holds, m: far above what slides or
+/// rolls in a grip within a substep.
 const NEAR: f64 = 0.3e-3;
 
 type Point = TrackedContact<ContactData>;
 
-/// Leaves the solver one contact of a finger for each place, and none that is out of reach.
-pub(super) struct Needed;
+/// Leaves the solver one contact of a finger for each place, and of what is held only those that are near.
+pub(super) struct Needed<'a> {
+    /// The objects that nothing but the two fingers that grip them could move, in this substep.
+    pub held: &'a [RigidBodyHandle],
+}
 
-impl PhysicsHooks for Needed {
+impl PhysicsHooks for Needed<'_> {
     fn modify_solver_contacts(&self, context: &mut ContactModificationContext) {
-        let bodies = context.bodies;
-        let speed = |body: Option<RigidBodyHandle>, at: Vector| {
-            let body = body.and_then(|body| bodies.get(body));
-            body.map_or(Vector::ZERO, |body| body.velocity_at_point(at))
+        let mut bodies = [context.rigid_body1, context.rigid_body2].into_iter().flatten();
+        let reach = if bodies.any(|body| self.held.contains(&body)) {
+            (NEAR * SCALE) as f32
+        } else {
+            f32::INFINITY
         };
-        let [one, other] = [context.rigid_body1, context.rigid_body2];
-        let near = (NEAR * SCALE) as f32;
         let ModifiableContacts::Rigid(rigid) = &mut context.contacts else { return };
-        // Normals point from the first body to the second.
-        let normal = *rigid.normal;
-        let is_in_reach = |contact: &SolverContact| {
-            let parting = speed(other, contact.anchor2) - speed(one, contact.anchor1);
-            contact.dist < near
-                || contact.dist + parting.dot(normal) / (SUBSTEPS_PER_SECOND as f32) < near
-        };
         let points = &rigid.manifold.points;
         let mut kept = 0;
         for index in 0..rigid.solver_contacts.len() {
             let mut contact = rigid.solver_contacts[index];
             let point = last_at_place_of(points, index_of(&contact));
             let is_kept = rigid.solver_contacts[..kept].iter().any(|one| index_of(one) == point);
-            if is_kept || !is_in_reach(&contact) {
+            if is_kept || contact.dist > reach {
                 continue;
             }
             let is_new = points[point].data.impulse == 0.0;

@@ -47,19 +47,35 @@ impl World {
                 touches.len() > others
             });
             if is_gripped {
+                if self.meets_only(object, fingers) {
+                    self.workspace.held.push(object);
+                }
                 self.stop_rolling(object, &touches, 0.5 * (rate[0] + rate[1]));
             }
         }
         self.workspace.touches = touches;
     }
 
-    /// Ends what fingers bore in the substep that has passed.
-    pub(super) fn forget_rolling(&mut self) {
+    /// Ends what was said of grips for the substep that has passed.
+    pub(super) fn end_grips(&mut self) {
+        self.workspace.held.clear();
         for body in &self.free {
             if self.bodies[*body].user_torque() != Vector::ZERO {
                 self.bodies[*body].reset_torques(false);
             }
         }
+    }
+
+    /// Whether nothing but `fingers` is near enough to `object` for contacts to be looked at.
+    fn meets_only(&self, object: RigidBodyHandle, fingers: [BodyId; 2]) -> bool {
+        self.bodies[object].colliders().iter().all(|part| {
+            self.narrow_phase.contact_pairs_with(*part).all(|pair| {
+                let met = if pair.collider1 == *part { pair.collider2 } else { pair.collider1 };
+                let is_finger = |finger: &BodyId| self.colliders[met].parent() == Some(finger.0);
+                pair.manifolds().iter().all(|manifold| manifold.points.is_empty())
+                    || fingers.iter().any(is_finger)
+            })
+        })
     }
 
     /// Where `finger`, the one of this number, pressed on `object`.
