@@ -164,6 +164,49 @@ fn a_gripped_wire_does_not_swing() {
 }
 
 #[test]
+fn jaws_press_on_a_wire_as_hard_as_they_are_asked_to() {
+    let (mut world, mut arm, _, _) = gripped_staple(1.0);
+    let here = *arm.posture();
+    for _ in 0..24 {
+        travel([&mut arm], &mut world, [here], 1);
+        let pressures = arm.pressures(&world);
+        assert!(pressures.iter().all(|force| (force - 1.0).abs() < 0.15), "{pressures:?}");
+    }
+}
+
+#[test]
+fn fingers_that_meet_a_post_sideways_do_not_turn_about_their_hinge() {
+    let mut most: f64 = 0.0;
+    for way in 0..24 {
+        let mut world = World::new(Solver::LIGHT);
+        let (a, b) = (Point3::new(0.0, 0.0, 0.0), Point3::new(0.0, 0.0, 0.03));
+        let post =
+            Part { body_from_part: Pose::identity(), shape: Shape::Capsule { a, b, radius: 1e-3 } };
+        world.insert(Motion::Fixed, &Pose::identity(), 1.0, &[post]);
+        let free = Motion::Free { mass: SLAB_MASS };
+        let slab = world.insert(free, &Pose::translation(0.0, 0.0, 0.2), 1.0, &[cuboid(SLAB)]);
+        let side = 0.5e-3 * f64::from(way % 6) - 1.25e-3;
+        let at = |x: f64, turn: f64| {
+            let wrist = [x, side, 0.02 + TIP_OFFSET];
+            Posture { world_from_wrist: frames::pose(wrist, [PI, 0.0, turn]), jaw: JAW_OPEN }
+        };
+        let mut arm = Instrument::insert(&mut world, at(-6e-3, 0.0), 1.0);
+        // As long as it falls, time passes.
+        world.wake(slab);
+        for turn in [0.2, -0.3, 0.4] {
+            let end = at(4e-3, turn * f64::from(way / 6 + 1) / 4.0);
+            for _ in 0..12 {
+                travel([&mut arm], &mut world, [end], 1);
+                most = most.max((arm.opening(&world) - JAW_OPEN).abs());
+            }
+        }
+    }
+    eprintln!("opened by {most:.3} rad");
+    // The post turns those that meet it on their flank by as much as it is off their middle.
+    assert!(most < 0.4, "{most}");
+}
+
+#[test]
 fn a_gripped_wire_rolls_where_friction_at_both_sides_cannot_stop_it() {
     const FRICTION: f64 = 0.5;
     let turned_by = |share: f64| {

@@ -24,7 +24,7 @@ use super::instrument::{Instrument, Posture};
 use super::world::{Overlap, Push, World};
 
 /// Net force of objects against the motion beyond which an instrument yields, N.
-const YIELD_FORCE: f64 = 2.5;
+const YIELD_FORCE: f64 = 1.5;
 
 /// Net force beyond which an instrument that grips gives way to it, wherever it was going, N: it is
 /// jammed.
