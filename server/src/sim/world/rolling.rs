@@ -17,8 +17,8 @@ use crate::sim::frames::{self, SCALE};
 /// Length below which contacts count as one point, m.
 const POINT: f64 = 0.1e-3;
 
-/// How much of the friction is used here. The engine's rows still have all of it: with both, a wire begins to
-/// roll where the couple is that of friction at both sides, or a tenth more.
+/// How much of the friction is used here. The engine's rows still have all of it: with both, a wire turns by 9°
+/// at 0.9 of the couple that friction at both sides bears, and rolls away at 1.25 of it.
 const SHARE: f32 = 0.6;
 
 /// A place where a finger pressed on an object in the last substep, engine units.
