@@ -7,6 +7,7 @@ use std::f64::consts::PI;
 
 use nalgebra::{Point3, Vector3};
 use rapier3d::dynamics::SpringCoefficients;
+use rapier3d::math::Vector as EngineVector;
 use rapier3d::prelude::{
     BroadPhaseBvh, CCDSolver, ColliderBuilder, ColliderHandle, ColliderSet, FrictionModel,
     ImpulseJointSet, IntegrationParameters, IslandManager, MultibodyJointSet, NarrowPhase,
@@ -381,7 +382,7 @@ impl World {
 
     fn advance(&mut self) {
         self.workspace.pipeline.step(
-            frames::to_engine_vector(&Vector3::new(0.0, 0.0, -GRAVITY)),
+            gravity(),
             &self.parameters,
             &mut self.islands,
             &mut self.broad_phase,
@@ -559,6 +560,11 @@ const LENGTH_UNIT: f64 = 0.01;
 
 /// Relative drift up to which contacts are kept, in units of [`LENGTH_UNIT`]: 50 µm.
 const RECYCLE_DISTANCE: f32 = 0.005;
+
+/// Acceleration of free fall, engine units.
+fn gravity() -> EngineVector {
+    frames::to_engine_vector(&Vector3::new(0.0, 0.0, -GRAVITY))
+}
 
 fn collider(shape: &Shape) -> ColliderBuilder {
     match shape {

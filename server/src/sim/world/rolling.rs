@@ -6,13 +6,12 @@
 //! mass. What is left swings like a flag, at some 40 Hz, and creeps under load. So the friction of both sides is
 //! solved together here, at the start of a substep, with no more than the fingers can bear.
 
-use nalgebra::Vector3;
 use rapier3d::math::{Matrix, Vector};
 use rapier3d::prelude::RigidBodyHandle;
 
 use super::points::pressing;
-use super::{BodyId, GRAVITY, SUBSTEPS_PER_SECOND, World};
-use crate::sim::frames::{self, SCALE};
+use super::{BodyId, SUBSTEPS_PER_SECOND, World, gravity};
+use crate::sim::frames::SCALE;
 
 /// Length below which contacts count as one point, m.
 const POINT: f64 = 0.1e-3;
@@ -34,7 +33,7 @@ pub(super) struct Touch {
 
 impl World {
     /// Makes what both `fingers` pressed on in the last substep roll no faster between them than they turn
-    /// themselves, as far as friction goes.
+    /// themselves, as far as friction goes, and takes note of what nothing else is near to.
     pub fn resist_rolling(&mut self, fingers: [BodyId; 2]) {
         let rate = fingers.map(|finger| self.bodies[finger.0].angvel());
         let mut touches = std::mem::take(&mut self.workspace.touches);
@@ -145,7 +144,7 @@ impl World {
         let rotation = Matrix::from_quat(*body.rotation());
         let properties = &body.mass_properties().local_mprops;
         let inertia = rotation * properties.reconstruct_inertia_matrix() * rotation.transpose();
-        let weight = body.mass() * frames::to_engine_vector(&Vector3::new(0.0, 0.0, -GRAVITY));
+        let weight = body.mass() * gravity();
         let load = rolling(arm.cross(weight + body.user_force()));
         let borne = load / SUBSTEPS_PER_SECOND as f32;
         let moment = (inertia * turn + body.mass() * arm.cross(gain) - borne).length();
