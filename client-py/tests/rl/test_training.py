@@ -221,6 +221,34 @@ def test_curves_are_means_over_seeds(tmp_path: Path) -> None:
         find(tmp_path / "empty")
 
 
+def test_tables_are_means_over_policies(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    def line(run: str, grasp: str, tested: str, rate: float | None) -> str:
+        told = {"task": "NeedlePick-v0", "algo": "her-demo", "run": run, "mean_return": -20.0}
+        grasps = {"trained_with": {"grasp": grasp}, "options": {"grasp": tested}}
+        return json.dumps(told | grasps | {"success_rate": rate}) + "\n"
+
+    lines = [
+        line("a/1", "weld", "weld", 0.0),
+        line("a/1", "weld", "weld", 0.8),  # again: this one counts
+        line("a/2", "weld", "weld", 0.9),
+        line("a/1", "weld", "interact", 0.25),
+        line("b/1", "approx", "interact", None),
+    ]
+    path = tmp_path / "evaluations.jsonl"
+    path.write_text("".join(lines))
+    assert main(["table", str(path)]) == 0
+    assert capsys.readouterr().out.splitlines() == [
+        "| trained | grasp=weld | grasp=interact |",
+        "| --- | --- | --- |",
+        "| NeedlePick-v0 her-demo grasp=weld | 85.0 ± 7.1 (2) | 25.0 |",
+        "| NeedlePick-v0 her-demo grasp=approx |  | -20.0 |",
+    ]
+    for broken, told in (("", "a line for each"), (lines[0] + "{}\n", ":2"), ("[1", ":1")):
+        path.write_text(broken)
+        assert main(["table", str(path)]) == 2
+        assert told in capsys.readouterr().err
+
+
 @pytest.mark.parametrize(
     ("task", "algo", "changes", "told"),
     [

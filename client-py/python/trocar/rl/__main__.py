@@ -1,4 +1,4 @@
-"""``python -m trocar.rl``: train, evaluate, curves, export, configs."""
+"""``python -m trocar.rl``: train, evaluate, table, curves, export, configs."""
 
 from __future__ import annotations
 
@@ -58,6 +58,10 @@ def _parser() -> argparse.ArgumentParser:
     evaluate.add_argument("--envs", type=int, default=50)
     evaluate.add_argument("--server")
     _options(evaluate)
+
+    table = commands.add_parser("table", help="evaluations of several runs, as a Markdown table")
+    table.set_defaults(run=_table)
+    table.add_argument("evaluations", type=Path, help="lines that evaluate printed")
 
     curves = commands.add_parser("curves", help="the figure of all runs in a folder")
     curves.set_defaults(run=_curves)
@@ -166,6 +170,7 @@ def _evaluate(given: argparse.Namespace) -> None:
                 "algo": config.algo,
                 "run": str(run.path),
                 "policy": given.policy,
+                "trained_with": config.task_options,
                 "options": options,
                 "seed": seed,
                 "episodes": result.episodes,
@@ -177,6 +182,12 @@ def _evaluate(given: argparse.Namespace) -> None:
             }
         )
     )
+
+
+def _table(given: argparse.Namespace) -> None:
+    from trocar.rl.table import markdown, read
+
+    print(markdown(read(given.evaluations)))
 
 
 def _curves(given: argparse.Namespace) -> None:
