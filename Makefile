@@ -174,11 +174,12 @@ bench-tiny-renderer: .venv-bullet/ready ## * a picture of NeedlePick: this rende
 	.venv-bullet/bin/python client-py/benches/tiny_renderer.py --simulation $(TARGET)/release/examples/libin_process.so
 
 .PHONY: bench-plot
+# On one core, which server and clients share: where two are halves of one, both are slower while the other works.
 bench-plot: release $(PLOT_VENV)/ready ## * assets/pictures/throughput.png: rates against envs and clients
 	mkdir -p assets/pictures
 	export TROCAR_PYTHON=$(BIN)/python; \
 	for round in 1 2 3; do for task in EcmReach-v0 NeedlePick-v0; do \
-		bench="$(TARGET)/release/trocar bench --quick --json --policy random --task $$task"; \
+		bench="taskset --cpu-list 0 $(TARGET)/release/trocar bench --quick --json --policy random --task $$task"; \
 		$$bench --envs 16,64,256,1024,4096; \
 		$$bench --envs 16 --clients 1,2,4,8,16,32,64 --mode in_process,client_rs; \
 	done; done > $(TARGET)/throughput.jsonl
