@@ -173,8 +173,8 @@ bench-tiny-renderer: .venv-bullet/ready ## * a picture of NeedlePick: this rende
 	$(CARGO) build --release --locked -p trocar-server --example in_process
 	.venv-bullet/bin/python client-py/benches/tiny_renderer.py --simulation $(TARGET)/release/examples/libin_process.so
 
+# Server and clients share one core, so that what is compared is the work of one.
 .PHONY: bench-plot
-# On one core, which server and clients share: where two are halves of one, both are slower while the other works.
 bench-plot: release $(PLOT_VENV)/ready ## * assets/pictures/throughput.png: rates against envs and clients
 	mkdir -p assets/pictures
 	export TROCAR_PYTHON=$(BIN)/python; \
