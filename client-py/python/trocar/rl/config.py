@@ -25,7 +25,10 @@ ALGORITHMS = ("ddpg", "her", "her-demo", "ppo")
 _PARTS = {
     ("ddpg", "her", "her-demo"): ("buffer_size", "learning_starts", "updates", "tau", "noise"),
     ("her", "her-demo"): ("random_actions", "goals", "action_l2"),
-    ("her-demo",): ("demos", "demo_batch", "policy_weight", "clone_weight", "q_filter"),
+    ("her-demo",): (
+        *("demos", "demo_batch", "policy_weight", "clone_weight", "q_filter"),
+        *("curriculum", "curriculum_success"),
+    ),
     ("ppo",): ("passes", "gae_lambda", "clip_range"),
 }
 """The algorithms that only some of the fields are for, and these."""
@@ -90,6 +93,12 @@ class Config:
     """Weight of the sum of squared differences from demonstrated actions."""
     q_filter: bool = True
     """Whether to clone only actions that the critic rates above the policy's own."""
+
+    curriculum: int = 0
+    """Levels of a curriculum from snapshots: into how many parts the ways of demonstrations are cut, for
+    episodes to begin there (:mod:`trocar.rl.curriculum`). 0: they begin as the task's do."""
+    curriculum_success: float = 0.5
+    """Part of the latest episodes from a level that must succeed before others begin one earlier."""
 
     passes: int = 10
     """PPO: passes over what was collected."""
@@ -212,6 +221,10 @@ def _checked(config: Config) -> Config:
         check(config.demos >= 1, "demos", "allowed are numbers from 1 on")
         allowed = f"allowed are numbers from 1 to {config.batch_size - 1}"
         check(1 <= config.demo_batch < config.batch_size, "demo_batch", allowed)
+        allowed = f"allowed are 0, for none, and 2 to {config.steps} levels"
+        check(config.curriculum in (0, *range(2, config.steps + 1)), "curriculum", allowed)
+        allowed = "allowed are numbers above 0, up to 1"
+        check(0.0 < config.curriculum_success <= 1.0, "curriculum_success", allowed)
     known = {"observation", "achieved_goal", "desired_goal"}
     check(bool(config.inputs) and {*config.inputs} <= known, "inputs", f"allowed are {known}")
     return config

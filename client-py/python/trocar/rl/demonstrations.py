@@ -56,21 +56,27 @@ def _name(config: Config) -> str:
     )
 
 
-def buffer(path: Path, config: Config, envs: TrocarVecEnv) -> HerReplayBuffer:
-    """A data set as a replay buffer that gives hindsight goals as that of experience does.
-
-    Args:
-        path: The data set's folder.
-        config: What is trained.
-        envs: Environments of the task.
+def opened(path: Path, config: Config) -> MinariDataset:
+    """The data set in a folder, for a configuration.
 
     Raises:
-        ValueError: There is no data set, or it is of another task, options or version.
+        ValueError: There is none, or it is of another task, options or version.
     """
     if not (path / "data").is_dir():
         raise refuse(InvalidRequest, "demos", str(path), "expected the folder of a Minari data set")
     dataset = MinariDataset(path / "data")
     check(dataset, config)
+    return dataset
+
+
+def buffer(dataset: MinariDataset, config: Config, envs: TrocarVecEnv) -> HerReplayBuffer:
+    """A data set as a replay buffer that gives hindsight goals as that of experience does.
+
+    Args:
+        dataset: The data set.
+        config: What is trained.
+        envs: Environments of the task.
+    """
     space = envs.observation_space
     assert isinstance(space, spaces.Dict)
     demos = HerReplayBuffer(

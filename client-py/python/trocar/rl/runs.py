@@ -31,6 +31,7 @@ import trocar
 from trocar.errors import InvalidRequest, refuse
 from trocar.rl.algorithms import GoalDDPG, NormalisedDDPG, NormalisedPPO
 from trocar.rl.config import Config
+from trocar.rl.curriculum import CurriculumVecEnv
 from trocar.sb3 import TrocarVecEnv
 
 CLASSES: dict[str, type[BaseAlgorithm]] = {
@@ -54,6 +55,7 @@ COLUMNS = (
     "critic_loss",
     "clone_loss",
     "passed",
+    "level",
     "wall_s",
     "trainer_cpu_s",
     "server_cpu_s",
@@ -160,6 +162,7 @@ class Run:
             "last_obs": model._last_obs,
             "last_episode_starts": model._last_episode_starts,
             "envs": envs.envs.snapshot().to_bytes(),
+            "curriculum": envs.progress() if isinstance(envs, CurriculumVecEnv) else None,
             "version": trocar.__version__,
             "python": random.getstate(),
             "numpy": np.random.get_state(),
@@ -195,6 +198,8 @@ class Run:
                 model.replay_buffer.set_env(envs)
         envs.reset()
         envs.envs.restore(trocar.Snapshot.from_bytes(state["envs"]))
+        if isinstance(envs, CurriculumVecEnv):
+            envs.go_on(state["curriculum"])
         model._last_obs = state["last_obs"]
         model._last_episode_starts = state["last_episode_starts"]
         model.action_space._np_random = state["actions"]

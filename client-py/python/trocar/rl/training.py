@@ -23,6 +23,7 @@ from trocar._trocar import Client
 from trocar.rl import demonstrations
 from trocar.rl.algorithms import GoalDDPG, NormalisedDDPG, NormalisedPPO
 from trocar.rl.config import Config
+from trocar.rl.curriculum import CurriculumVecEnv
 from trocar.rl.curves import plot_run
 from trocar.rl.evaluation import SEED, Score, score
 from trocar.rl.normalise import Normalised
@@ -67,19 +68,24 @@ def train(
     run.begin(config, resume)
     torch.set_num_threads(threads)
     with _served(server) as (name, server_pid):
+        shown = None
+        if config.demos:
+            folder = demonstrations.made(config, Path(out) / "demos", name) if demos is None else demos
+            shown = demonstrations.opened(Path(folder), config)
         envs = make_vec(config.task_id, config.envs, server=name, **config.task_options)
         evaluation = make_vec(
             config.task_id, config.eval_episodes, server=name, **config.task_options
         )
         try:
+            if shown is not None and config.curriculum:
+                envs = CurriculumVecEnv(envs.envs, shown, config)
             if run.has_checkpoint:
                 model, rows = run.restore(envs)
             else:
                 model, rows = make_model(config, envs, seed), []
             model.set_logger(Logger(None, []))
-            if isinstance(model, GoalDDPG) and config.demos:
-                folder = Path(demos) if demos is not None else None
-                _learn_from(model, config, envs, folder, Path(out) / "demos", name, not rows)
+            if isinstance(model, GoalDDPG) and shown is not None:
+                _learn_from(model, demonstrations.buffer(shown, config, envs), not rows)
             _epochs(run, config, model, envs, evaluation, rows, server_pid, say)
         finally:
             envs.close()
@@ -148,20 +154,8 @@ def make_model(config: Config, envs: TrocarVecEnv, seed: int) -> BaseAlgorithm:
     return model
 
 
-def _learn_from(
-    model: GoalDDPG,
-    config: Config,
-    envs: TrocarVecEnv,
-    given: Path | None,
-    folder: Path,
-    server: str,
-    is_new: bool,
-) -> None:
+def _learn_from(model: GoalDDPG, demos: HerReplayBuffer, is_new: bool) -> None:
     """Gives a model its demonstrations; in one that goes on, they were counted already."""
-    path = given
-    if path is None:
-        path = demonstrations.made(config, folder, server)
-    demos = demonstrations.buffer(path, config, envs)
     if is_new:
         model.learn_from(demos)
     else:
@@ -225,6 +219,8 @@ def _row(epoch: int, config: Config, model: BaseAlgorithm, result: Score, clock:
         "mean_length": result.mean_length,
         **clock.times(),
     }
+    if isinstance(model.env, CurriculumVecEnv):
+        row["level"] = model.env.level
     for name in ("actor_loss", "critic_loss", "clone_loss", "passed"):
         for source in (name, losses.get(name)):
             if f"train/{source}" in told:
