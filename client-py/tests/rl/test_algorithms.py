@@ -16,7 +16,7 @@ from stable_baselines3.common.type_aliases import DictReplayBufferSamples
 from trocar.demos import record
 from trocar.rl import GoalDDPG, load
 from trocar.rl.config import Config
-from trocar.rl.demonstrations import buffer
+from trocar.rl.demonstrations import buffer, opened
 from trocar.rl.normalise import Normalised
 from trocar.rl.training import make_model
 from trocar.sb3 import TrocarVecEnv, make_vec
@@ -166,7 +166,7 @@ def dataset(server: str, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_demonstrations_are_relabelled_like_experience(envs: TrocarVecEnv, dataset: Path) -> None:
-    demos = buffer(dataset, config(), envs)
+    demos = buffer(opened(dataset, config()), config(), envs)
     assert demos.size() == 50 * DEMOS
     drawn = demos.sample(2000)
     achieved, desired, given = (
@@ -197,7 +197,7 @@ def test_demonstrations_are_relabelled_like_experience(envs: TrocarVecEnv, datas
 
 def test_a_batch_ends_with_demonstrations(envs: TrocarVecEnv, dataset: Path) -> None:
     model = made(envs, noise=0.0, random_actions=1.0)
-    model.learn_from(buffer(dataset, config(), envs))
+    model.learn_from(buffer(opened(dataset, config()), config(), envs))
     model.learn(100)
     drawn = model.sample(64)
     assert model.demos is not None

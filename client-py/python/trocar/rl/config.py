@@ -95,10 +95,10 @@ class Config:
     """Whether to clone only actions that the critic rates above the policy's own."""
 
     curriculum: int = 0
-    """Levels of a curriculum from snapshots: into how many parts the ways of demonstrations are cut, for
-    episodes to begin there (:mod:`trocar.rl.curriculum`). 0: they begin as the task's do."""
+    """Levels of a curriculum from snapshots: into how many parts demonstrations are cut, for
+    episodes to begin between them (:mod:`trocar.rl.curriculum`). 0: they begin as the task's do."""
     curriculum_success: float = 0.5
-    """Part of the latest episodes from a level that must succeed before others begin one earlier."""
+    """Part of the latest episodes from a level that must succeed before they begin one earlier."""
 
     passes: int = 10
     """PPO: passes over what was collected."""

@@ -70,7 +70,7 @@ def train(
     with _served(server) as (name, server_pid):
         shown = None
         if config.demos:
-            folder = demonstrations.made(config, Path(out) / "demos", name) if demos is None else demos
+            folder = demos or demonstrations.made(config, Path(out) / "demos", name)
             shown = demonstrations.opened(Path(folder), config)
         envs = make_vec(config.task_id, config.envs, server=name, **config.task_options)
         evaluation = make_vec(

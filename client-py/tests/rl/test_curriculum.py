@@ -1,0 +1,127 @@
+"""A curriculum from snapshots: where episodes begin, when they begin earlier, the same again."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from minari import MinariDataset
+from numpy.typing import NDArray
+
+from trocar.demos import record
+from trocar.rl import Config, load, train
+from trocar.rl.curriculum import COUNTED, CurriculumVecEnv
+from trocar.rl.demonstrations import opened
+from trocar.sb3 import make_vec
+
+TASK = "MisOrient-v0"
+DEMOS = 3
+LEVELS = 3
+
+
+def config(**changes: Any) -> Config:
+    small = {"hidden": [16], "epochs": 3, "epoch_episodes": 8, "eval_episodes": 2, "updates": 5}
+    cut = {"demos": DEMOS, "demo_batch": 16, "batch_size": 64, "curriculum": LEVELS}
+    return load(TASK, "her-demo").but(**(small | cut | changes))
+
+
+@pytest.fixture(scope="module")
+def demos(server: str, tmp_path_factory: pytest.TempPathFactory) -> MinariDataset:
+    out = tmp_path_factory.mktemp("demos")
+    return opened(Path(record(TASK, episodes=DEMOS, out=out, server=server).path), config())
+
+
+@pytest.fixture
+def envs(server: str, demos: MinariDataset) -> Iterator[CurriculumVecEnv]:
+    made = make_vec(f"trocar/{TASK}", 2, server=server, expert=True)
+    yield CurriculumVecEnv(made.envs, demos, config())
+    made.close()
+
+
+def test_episodes_go_on_as_the_demonstrations_did(
+    envs: CurriculumVecEnv, demos: MinariDataset
+) -> None:
+    assert [len(states) for states in envs.ways] == [0, *[DEMOS] * (LEVELS - 1)]
+    for number, episode in enumerate(demos.iterate_episodes()):
+        seen: Any = episode.observations
+        (failing,) = np.nonzero(~episode.infos["is_success"][1:])
+        length = failing[-1] + 1
+        assert 3 <= length < 50
+        for level in range(1, LEVELS):
+            now: Any = envs.envs.restore(envs.ways[level][number], [1])
+            begun = round(length * level / LEVELS)
+            for step in range(begun, length):
+                assert now["observation"][1] == pytest.approx(seen["observation"][step], abs=0)
+                envs.envs.send(episode.actions[step][None], [1])
+                envs.envs.recv()
+                now = envs.envs.restore(envs.envs.snapshot([1]), [1])
+            assert now["achieved_goal"][1] == pytest.approx(seen["achieved_goal"][length], abs=0)
+
+
+def lengths(
+    envs: CurriculumVecEnv, steps: int, act: Callable[[Any], NDArray[np.float32]]
+) -> list[tuple[int, int]]:
+    """Plays; the level and the length of each episode that ended."""
+    envs.seed(5)
+    envs.reset()
+    infos: Any = [{"expert_action": np.zeros(1, np.float32)}] * 2
+    found, begun, levels = [], [0, 0], [0, 0]
+    for step in range(1, steps + 1):
+        _, _, dones, infos = envs.step(act(infos))
+        for row in np.flatnonzero(dones).tolist():
+            found.append((levels[row], step - begun[row]))
+            begun[row], levels[row] = step, envs.reset_infos[row]["level"]
+    return found
+
+
+def test_they_begin_earlier_when_enough_succeed(envs: CurriculumVecEnv) -> None:
+    assert envs.level == LEVELS - 1
+    # Who does nothing never succeeds, and goes on beginning near the end.
+    idle = lengths(envs, 2000, lambda _: np.zeros((2, 1), np.float32))
+    assert envs.level == LEVELS - 1
+    assert {level for level, _ in idle[2:]} == {LEVELS - 1}
+    assert all((length == 50) == (level == 0) for level, length in idle)
+    # The expert, who acts a step late here, does.
+    expert = lengths(envs, 4000, lambda infos: np.stack([info["expert_action"] for info in infos]))
+    assert envs.level == 0
+    for level in range(1, LEVELS):
+        # As many as count, and those that were under way when the last of them was.
+        at_least = [begun for begun, _ in expert if begun >= level]
+        assert len(at_least) >= COUNTED * (LEVELS - level)
+    late = [level for level, _ in expert[-40:]]
+    assert 0.5 < np.mean(np.equal(late, 0)) < 0.9
+    assert {1, 2} <= {*late}
+
+
+def test_a_run_is_the_same_again_and_after_an_interruption(tmp_path: Path, server: str) -> None:
+    class Stop(Exception):
+        pass
+
+    def stop(line: str) -> None:
+        if "epoch   2" in line:
+            raise Stop
+
+    def curve(out: str, say: Callable[[str], Any]) -> list[dict[str, float]]:
+        run = train(moves, 1, out=tmp_path / out, server=server, resume=True, say=say)
+        rows = run.rows()
+        return [{name: row[name] for name in row if not name.endswith("_s")} for row in rows]
+
+    # It begins earlier whatever the policy does.
+    moves = config(curriculum_success=0.01, random_actions=1.0)
+    straight = curve("one", str)
+    assert straight[0]["level"] == LEVELS - 1 > straight[-1]["level"]
+    with pytest.raises(Stop):
+        curve("two", stop)
+    assert curve("two", str) == straight
+
+
+def test_levels_that_are_none_are_refused() -> None:
+    with pytest.raises(ValueError, match="2 to 50"):
+        config(curriculum=1)
+    with pytest.raises(ValueError, match="curriculum_success"):
+        config(curriculum_success=0.0)
+    with pytest.raises(ValueError, match="does not use it"):
+        load(TASK, "her").but(curriculum=3)
