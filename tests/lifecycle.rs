@@ -9,8 +9,8 @@ use trocar_client::{CallError, Client, SessionRequest, private};
 use trocar_proto::endpoint::ServerState;
 
 use crate::harness::{
-    Process, Server, Watchdog, assert_nothing_is_left, binary, client, client_command, count_files,
-    endpoint, eventually,
+    PATIENCE, Process, Server, Watchdog, assert_nothing_is_left, binary, client, client_command,
+    count_files, endpoint, eventually,
 };
 use crate::twin::{Bystander, digest};
 
@@ -124,6 +124,27 @@ fn clients_of_a_killed_server_are_told_and_a_new_one_starts_at_once() {
     drop(successor);
     // The first server's harness would look for remains, too.
     drop(server);
+}
+
+#[test]
+fn those_who_look_for_a_server_keep_none_from_starting() {
+    let mut server = Server::start();
+    let name = server.name().to_string();
+    // Keeps the file of the killed server's lock, at which everybody looks.
+    let connected = server.connect();
+    server.process().kill();
+    std::thread::scope(|scope| {
+        for _ in 0..4 {
+            scope.spawn(|| {
+                let (start, endpoint) = (Instant::now(), endpoint(&name));
+                let runs = || matches!(endpoint.server_state(), ServerState::Running { .. });
+                while !runs() && start.elapsed() < PATIENCE {}
+            });
+        }
+        let successor = Server::start_named(&name, &[]);
+        drop(connected);
+        drop(successor);
+    });
 }
 
 #[test]

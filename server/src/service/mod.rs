@@ -221,17 +221,18 @@ pub fn serve(
     served
 }
 
-/// Takes the single-instance lock; waits for a predecessor that is just ending.
+/// Takes the single-instance lock. Waits for a predecessor that is just ending, and for those who look
+/// whether there is a server: they share the lock for a moment.
 fn take_lock(membership: &Membership, epoch: u64) -> io::Result<Result<ServerLock, u32>> {
     let start = Instant::now();
     loop {
         let taken = membership.become_server(epoch)?;
         let state = membership.endpoint().server_state();
-        let ending = matches!(state, ServerState::Ending { .. } | ServerState::Closed { .. });
-        if taken.is_ok() || !ending || start.elapsed() > ENDING {
+        let in_use = matches!(state, ServerState::Running { .. });
+        if taken.is_ok() || in_use || start.elapsed() > ENDING {
             return Ok(taken);
         }
-        std::thread::sleep(Duration::from_millis(5));
+        std::thread::sleep(Duration::from_millis(1));
     }
 }
 
