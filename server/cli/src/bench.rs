@@ -34,7 +34,7 @@ use pool::Pool;
 const SECONDS: f64 = 2.0;
 const QUICK_SECONDS: f64 = 0.4;
 
-/// The part of that for which everything runs before it is measured, if whole episodes are not longer.
+/// The part of that for which everything runs before it is measured.
 const WARM_UP: f64 = 0.2;
 
 /// Episodes that are begun before that. A session makes the states in which episodes begin when it first
@@ -149,12 +149,11 @@ impl Job {
         self.pool.as_ref().map(|pool| pool.round(first + round))
     }
 
-    /// Runs `step` for a part of the time, and for whole episodes: in its first one, an environment takes the
-    /// memory that it goes on with.
+    /// Runs `step` for a part of the time.
     fn warm_up<E>(&self, mut step: impl FnMut(usize) -> Result<(), E>) -> Result<(), E> {
         let start = Instant::now();
         let mut round = 0;
-        while round < self.max_steps as usize || start.elapsed() < self.time.mul_f64(WARM_UP) {
+        while start.elapsed() < self.time.mul_f64(WARM_UP) {
             step(round)?;
             round += 1;
         }

@@ -26,10 +26,8 @@ def measure(job: dict[str, Any], server: str) -> None:
     for seed in range(0, job["beginnings"], job["envs"]):
         reset(seed)
     end = time.perf_counter() + job["seconds"] * job["warm_up"]
-    warmed = 0
-    while warmed < max_steps or time.perf_counter() < end:
+    while time.perf_counter() < end:
         step()
-        warmed += 1
     reset(0)
     say(ready=True)
     sys.stdin.readline()
