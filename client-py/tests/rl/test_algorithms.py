@@ -10,11 +10,12 @@ import numpy as np
 import pytest
 import torch
 from gymnasium import spaces
+from onnx.reference import ReferenceEvaluator
 from stable_baselines3.common.logger import Logger
 from stable_baselines3.common.type_aliases import DictReplayBufferSamples
 
 from trocar.demos import record
-from trocar.rl import GoalDDPG, load
+from trocar.rl import GoalDDPG, export, load
 from trocar.rl.config import Config
 from trocar.rl.demonstrations import buffer, opened
 from trocar.rl.normalise import Normalised
@@ -225,6 +226,26 @@ def test_exploring_is_random_as_much_as_it_shall_be(envs: TrocarVecEnv) -> None:
     random = np.abs(actions - 0.25) > 1e-6
     assert 0.25 < random.mean() < 0.35
     assert np.abs(actions[random].mean()) < 0.1
+
+
+@pytest.mark.parametrize("averaged", [False, True])
+def test_the_target_actor_acts_where_that_is_asked_for(
+    envs: TrocarVecEnv, averaged: bool, tmp_path: Path
+) -> None:
+    model = made(envs, noise=0.0, random_actions=0.0, averaged=averaged)
+    act_always(model, 0.25)
+    set_layers(model.actor_target, ([[0.0], [0.0]], [0.0, 0.0]), ([[0.0, 0.0]], [-0.5]))
+    expected = float(np.tanh(-0.5)) if averaged else 0.25
+    observations: Any = envs.reset()
+    actions, _ = model.predict(observations, deterministic=True)
+    assert np.allclose(actions, expected, atol=1e-6)
+    path = export(model, config(averaged=averaged), tmp_path / "policy.onnx")
+    network = ReferenceEvaluator(str(path))
+    inputs = {name: observations[name][:1] for name in network.input_names}
+    assert np.allclose(network.run(None, inputs)[0], expected, atol=1e-6)
+    model.learn(100)
+    assert model.replay_buffer is not None
+    assert np.allclose(model.replay_buffer.actions[:50], expected, atol=1e-6)
 
 
 def _seen(model: GoalDDPG, envs: TrocarVecEnv) -> bool:

@@ -9,8 +9,9 @@ import torch
 from numpy.typing import NDArray
 from stable_baselines3 import DDPG, PPO, HerReplayBuffer
 from stable_baselines3.common.noise import ActionNoise
-from stable_baselines3.common.type_aliases import DictReplayBufferSamples
+from stable_baselines3.common.type_aliases import DictReplayBufferSamples, PyTorchObs
 from stable_baselines3.common.utils import polyak_update
+from stable_baselines3.td3.policies import Actor, TD3Policy
 from torch.nn.functional import mse_loss
 
 from trocar.rl.normalise import Normalised
@@ -28,6 +29,19 @@ class NormalisedPPO(PPO):
         # Before training, the buffer was flattened to (rows, …).
         extractor.see(rows)
         extractor.refresh()
+
+
+class AveragedPolicy(TD3Policy):
+    """A policy of which the target actor acts."""
+
+    @property
+    def acting(self) -> Actor:
+        """The actor that acts."""
+        return self.actor_target
+
+    def _predict(self, observation: PyTorchObs, deterministic: bool = False) -> torch.Tensor:  # noqa: ARG002
+        action: torch.Tensor = self.acting(observation)
+        return action
 
 
 class NormalisedDDPG(DDPG):

@@ -23,7 +23,9 @@ ALGORITHMS = ("ddpg", "her", "her-demo", "ppo")
 """DDPG, DDPG with hindsight replay, the same with demonstrations, PPO."""
 
 _PARTS = {
-    ("ddpg", "her", "her-demo"): ("buffer_size", "learning_starts", "updates", "tau", "noise"),
+    ("ddpg", "her", "her-demo"): (
+        *("buffer_size", "learning_starts", "updates", "tau", "averaged", "noise"),
+    ),
     ("her", "her-demo"): ("random_actions", "goals", "action_l2"),
     ("her-demo",): (
         *("demos", "demo_batch", "policy_weight", "clone_weight", "q_filter"),
@@ -74,6 +76,9 @@ class Config:
     """Gradient steps in a training."""
     tau: float = 0.05
     """Part by which target networks move: after each update (``ddpg``) or training (``her``)."""
+    averaged: bool = False
+    """Whether the target actor acts: a moving average, as ``tau`` says, of the one that is trained.
+    Source: Polyak and Juditsky, Acceleration of Stochastic Approximation by Averaging, 1992."""
     noise: float = 0.2
     """Standard deviation of the noise on actions while exploring."""
     random_actions: float = 0.0

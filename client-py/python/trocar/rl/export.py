@@ -13,6 +13,7 @@ from stable_baselines3.common.base_class import BaseAlgorithm
 from torch import nn
 
 import trocar
+from trocar.rl.algorithms import AveragedPolicy
 from trocar.rl.config import Config
 from trocar.rl.normalise import Normalised
 
@@ -22,24 +23,31 @@ OPSET = 18
 class Acting(nn.Module):
     """The deterministic policy of a model: inputs by name to an action in [-1, 1]."""
 
-    def __init__(self, model: BaseAlgorithm, keys: list[str]) -> None:
+    def __init__(self, model: BaseAlgorithm) -> None:
         super().__init__()
         self.policy: Any = model.policy
-        self.keys = keys
-        self.is_dict = self._extractor().is_dict
+        self.keys = self.extractor.keys
+        self.is_dict = self.extractor.is_dict
 
-    def _extractor(self) -> Normalised:
-        actor = getattr(self.policy, "actor", self.policy)
-        extractor = actor.features_extractor
+    @property
+    def actor(self) -> Any:
+        """The network that acts; ``None`` where it is a part of the policy's only one."""
+        own = getattr(self.policy, "actor", None)
+        return self.policy.acting if isinstance(self.policy, AveragedPolicy) else own
+
+    @property
+    def extractor(self) -> Normalised:
+        """What it sees."""
+        extractor = (self.actor or self.policy).features_extractor
         assert isinstance(extractor, Normalised)
         return extractor
 
     def forward(self, *inputs: torch.Tensor) -> torch.Tensor:
         """An action of shape (1, action dim) for inputs of shape (1, …)."""
         seen: Any = dict(zip(self.keys, inputs, strict=True)) if self.is_dict else inputs[0]
-        features = self._extractor()(seen)
-        if hasattr(self.policy, "actor"):
-            action = self.policy.actor.mu(features)
+        features = self.extractor(seen)
+        if self.actor is not None:
+            action = self.actor.mu(features)
         else:
             latent = self.policy.mlp_extractor.forward_actor(features)
             action = self.policy.action_net(latent)
@@ -59,16 +67,15 @@ def export(model: BaseAlgorithm, config: Config, path: str | os.PathLike[str]) -
         config: What it was trained with.
         path: The file.
     """
-    policy = model.policy.to("cpu").eval()
-    extractor = getattr(policy, "actor", policy).features_extractor
-    assert isinstance(extractor, Normalised)
+    model.policy.to("cpu")
+    acting = Acting(model).eval()
     space = model.observation_space
-    boxes = {key: space[key] if extractor.is_dict else space for key in extractor.keys}  # type: ignore[index]
+    boxes = {key: space[key] if acting.is_dict else space for key in acting.keys}  # type: ignore[index]
     samples = tuple(torch.zeros(1, *box.shape) for box in boxes.values())  # type: ignore[misc]
     target = Path(path)
     target.parent.mkdir(parents=True, exist_ok=True)
     torch.onnx.export(
-        Acting(model, extractor.keys).eval(),
+        acting,
         samples,
         str(target),
         input_names=list(boxes),

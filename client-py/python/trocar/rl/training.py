@@ -21,7 +21,7 @@ from torch.utils.tensorboard import SummaryWriter
 import trocar
 from trocar._trocar import Client
 from trocar.rl import demonstrations
-from trocar.rl.algorithms import GoalDDPG, NormalisedDDPG, NormalisedPPO
+from trocar.rl.algorithms import AveragedPolicy, GoalDDPG, NormalisedDDPG, NormalisedPPO
 from trocar.rl.config import Config
 from trocar.rl.curriculum import CurriculumVecEnv
 from trocar.rl.curves import plot_run
@@ -104,8 +104,9 @@ def make_model(config: Config, envs: TrocarVecEnv, seed: int) -> BaseAlgorithm:
         "share_features_extractor": True,
     }
     has_goals = envs.envs.task_spec.goal is not None
+    latest = "MultiInputPolicy" if has_goals else "MlpPolicy"
     common: dict[str, Any] = {
-        "policy": "MultiInputPolicy" if has_goals else "MlpPolicy",
+        "policy": AveragedPolicy if config.averaged else latest,
         "env": envs,
         "learning_rate": config.learning_rate,
         "gamma": config.gamma,
