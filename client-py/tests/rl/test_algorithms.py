@@ -242,7 +242,8 @@ def test_the_target_actor_acts_where_that_is_asked_for(
     path = export(model, config(averaged=averaged), tmp_path / "policy.onnx")
     network = ReferenceEvaluator(str(path))
     inputs = {name: observations[name][:1] for name in network.input_names}
-    assert np.allclose(network.run(None, inputs)[0], expected, atol=1e-6)
+    (action,) = network.run(None, inputs)
+    assert np.allclose(action, expected, atol=1e-6)
     model.learn(100)
     assert model.replay_buffer is not None
     assert np.allclose(model.replay_buffer.actions[:50], expected, atol=1e-6)
