@@ -217,6 +217,11 @@ def test_curves_are_means_over_seeds(tmp_path: Path) -> None:
     write_table([made], tmp_path / "curves.csv")
     assert (tmp_path / "curves.png").stat().st_size > 0
     assert len((tmp_path / "curves.csv").read_text().splitlines()) == 3
+    other = Run(tmp_path / "other")
+    other.begin(load("EcmReach", "her-demo").but(curriculum=4), resume=False)
+    other.write_rows([{"epoch": 0, "success": 0.0}])
+    labels = [curve.label for curve in curves(find(tmp_path))]
+    assert labels == ["her", "her-demo curriculum=4"]
     with pytest.raises(ValueError, match="expected a folder with runs"):
         find(tmp_path / "empty")
 

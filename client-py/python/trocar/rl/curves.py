@@ -23,7 +23,7 @@ class Curve:
 
     task: str
     label: str
-    """Algorithm, and options where they are not the task's defaults."""
+    """Algorithm, options where they are not the task's defaults, and curriculum if there is one."""
     runs: int
     """How many."""
     epochs: NDArray[np.float64]
@@ -61,6 +61,8 @@ def curves(runs: list[Run]) -> list[Curve]:
     for run in runs:
         config = run.config
         options = [f"{name}={value}" for name, value in sorted(config.task_options.items())]
+        if config.curriculum:
+            options.append(f"curriculum={config.curriculum}")
         groups[config.task, " ".join([config.algo, *options])].append(run)
     made = []
     for (task, label), members in sorted(groups.items()):
