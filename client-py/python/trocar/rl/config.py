@@ -103,8 +103,8 @@ class Config:
     """Levels of a curriculum from snapshots: into how many parts demonstrations are cut, for
     episodes to begin between them (:mod:`trocar.rl.curriculum`). 0: they begin as the task's do."""
     curriculum_success: float = 0.5
-    """Part of the latest episodes from a level that must succeed, while exploring, before they begin
-    one earlier."""
+    """Part of the latest episodes from a level that must succeed, with the noise of exploring,
+    before they begin one earlier."""
 
     passes: int = 10
     """PPO: passes over what was collected."""
