@@ -389,7 +389,7 @@ impl Session {
         header: Header,
         fill: impl FnOnce(&mut [u8]),
     ) -> Result<Reply, CallError> {
-        let pending = Owned::new(self.port.get()?.send(header, fill)?);
+        let pending = Owned::new(self.port.get_mut()?.send(header, fill)?);
         let env_ids = EnvIds::All(header.rows.min(self.info.envs));
         let kind = header.kind;
         let touched = env_ids.clone();
@@ -432,7 +432,7 @@ impl Session {
         fill: impl FnOnce(&mut [u8], usize),
     ) -> Result<(), CallError> {
         while !self.settle(SLICE)? {}
-        let port = self.port.get()?;
+        let port = self.port.get_mut()?;
         // Where nobody takes requests any more, sending them would come to wait for ever.
         if self.ended {
             return Err(port.why_unanswered());

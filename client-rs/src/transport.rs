@@ -19,12 +19,9 @@ use trocar_proto::{Code, Rejection};
 use crate::error::CallError;
 pub(crate) use crate::owned::Owned;
 
-/// How long a wait may last before the server's life is checked.
+/// How long a wait may last before the server's life is checked; then twice as long, up to [`LONGEST_SLICE`].
 pub(crate) const SLICE: Duration = Duration::from_millis(100);
-
-/// How long the first wait may last, if replies do not usually take half as long: then the session's thread
-/// is woken up, whatever the bell says.
-const NUDGE: Duration = Duration::from_millis(20);
+const LONGEST_SLICE: Duration = Duration::from_millis(400);
 
 /// How long control replies are polled for without sleeping.
 const BRISK: Duration = Duration::from_micros(200);
@@ -84,23 +81,25 @@ impl Link {
 
     /// An error if the server that this client connected to takes no more requests.
     pub(crate) fn check_server(&self) -> Result<(), CallError> {
+        self.check(false)
+    }
+
+    /// An error if it answers none any more, either: one that ends answers what it was asked.
+    fn check_answers(&self) -> Result<(), CallError> {
+        self.check(true)
+    }
+
+    fn check(&self, may_end: bool) -> Result<(), CallError> {
         let endpoint = self.membership.endpoint();
         let closed = match endpoint.server_state() {
             ServerState::Running { epoch, .. } if epoch == self.epoch => return Ok(()),
+            ServerState::Ending { epoch, .. } if may_end && epoch == self.epoch => return Ok(()),
             ServerState::Ending { epoch, .. } | ServerState::Closed { epoch } => {
                 epoch == self.epoch
             }
             ServerState::Running { .. } | ServerState::Absent => false,
         };
         Err(CallError::ServerLost { name: endpoint.name().to_string(), closed })
-    }
-
-    /// An error if it answers none any more, either: one that ends answers what it was asked.
-    fn check_answers(&self) -> Result<(), CallError> {
-        match self.membership.endpoint().server_state() {
-            ServerState::Ending { epoch, .. } if epoch == self.epoch => Ok(()),
-            _ => self.check_server(),
-        }
     }
 
     /// Sends one control request and waits for its reply; a refusal is an error.
@@ -162,8 +161,8 @@ pub(crate) struct DataPort {
     port: Port,
     bells: Bells,
     vigil: Vigil,
-    /// How long replies were waited for lately.
-    usual: Duration,
+    /// The session slept when the latest request was sent.
+    slept: bool,
     request_bytes: usize,
     session: u64,
     link: Arc<Owned<Link>>,
@@ -194,13 +193,13 @@ impl DataPort {
             .map_err(transport("data port"))?;
         let bells = Bells::open(link.membership.endpoint(), epoch, session);
         let bells = bells.map_err(transport("session bells"))?;
-        let (vigil, usual) = (Vigil::new(), Duration::ZERO);
-        Ok(Self { port, bells, vigil, usual, request_bytes, session, link })
+        let vigil = Vigil::new();
+        Ok(Self { port, bells, vigil, slept: false, request_bytes, session, link })
     }
 
     /// Sends a request whose payload `fill` writes.
     pub(crate) fn send(
-        &self,
+        &mut self,
         header: Header,
         fill: impl FnOnce(&mut [u8]),
     ) -> Result<RawPending, CallError> {
@@ -208,7 +207,7 @@ impl DataPort {
         fill(request.payload_mut());
         *request.user_header_mut() = header;
         let pending = request.send().map_err(transport("request"))?;
-        self.bells.request().ring();
+        self.slept = self.bells.request().ring();
         Ok(pending)
     }
 
@@ -219,10 +218,9 @@ impl DataPort {
         pending: &RawPending,
         patience: Duration,
     ) -> Result<Option<RawReply>, CallError> {
-        let start = Instant::now();
-        let deadline = start + patience;
-        let mut slice = (2 * self.usual).clamp(NUDGE, SLICE);
-        self.vigil.begin();
+        let deadline = Instant::now() + patience;
+        let mut slice = SLICE;
+        self.vigil.begin(self.slept);
         loop {
             let seen = self.bells.reply().count();
             // Asked before the reply is looked for: a server answers, and then lets go.
@@ -230,7 +228,6 @@ impl DataPort {
             match pending.receive() {
                 Ok(Some(reply)) => {
                     self.vigil.end();
-                    self.usual = (self.usual + start.elapsed()) / 2;
                     return Ok(Some(reply));
                 }
                 Ok(None) if held => {}
@@ -249,8 +246,7 @@ impl DataPort {
                 Woken::Rung => {}
                 Woken::Late => {
                     self.link.check_answers()?;
-                    self.bells.request().wake();
-                    slice = SLICE;
+                    slice = (2 * slice).min(LONGEST_SLICE);
                 }
                 // The caller may want to act on the signal.
                 Woken::Interrupted => return Ok(None),

@@ -56,12 +56,14 @@ pub enum Woken {
 }
 
 impl Bell {
-    /// Tells the other side that a message is there.
-    pub fn ring(&self) {
+    /// Tells the other side that a message is there; returns whether it had to be woken up for that.
+    pub fn ring(&self) -> bool {
         self.count.fetch_add(1, Ordering::SeqCst);
-        if self.armed.load(Ordering::SeqCst) != 0 {
+        let asleep = self.armed.load(Ordering::SeqCst) != 0;
+        if asleep {
             self.wake();
         }
+        asleep
     }
 
     /// How often it was rung, modulo 2³². What was sent before these rings can be received.

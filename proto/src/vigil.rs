@@ -9,6 +9,8 @@ use std::time::{Duration, Instant};
 #[derive(Debug)]
 pub struct Vigil {
     start: Instant,
+    /// How long it lasts.
+    longest: Duration,
     /// Waits that are still to be slept through.
     asleep: u32,
     /// How many it was after the last late message, less one for each that came soon.
@@ -16,8 +18,12 @@ pub struct Vigil {
 }
 
 impl Vigil {
-    /// How long it lasts.
+    /// How long it lasts where the other side is awake.
     const LONGEST: Duration = Duration::from_micros(50);
+
+    /// How much longer where it had to be woken up, which takes that long where its processor slept. Without that,
+    /// each side finds the other one asleep whenever it tries to be awake, and both go on sleeping.
+    const WAKING: Duration = Duration::from_micros(100);
 
     /// Waits that one late message costs: others keep a core for milliseconds, and a wake-up that is
     /// saved is worth some ten microseconds.
@@ -26,19 +32,20 @@ impl Vigil {
 
     /// One that has to find out whether it pays.
     pub fn new() -> Self {
-        Self { start: Instant::now(), asleep: 0, penalty: 0 }
+        Self { start: Instant::now(), longest: Self::LONGEST, asleep: 0, penalty: 0 }
     }
 
-    /// The wait for a message begins.
-    pub fn begin(&mut self) {
+    /// The wait for the message of one who `slept` until now begins.
+    pub fn begin(&mut self, slept: bool) {
         self.start = Instant::now();
+        self.longest = if slept { Self::LONGEST + Self::WAKING } else { Self::LONGEST };
     }
 
     /// The message is there.
     pub fn end(&mut self) {
         if self.asleep > 0 {
             self.asleep -= 1;
-        } else if self.start.elapsed() < Self::LONGEST {
+        } else if self.start.elapsed() < self.longest {
             self.penalty = self.penalty.saturating_sub(1);
         } else {
             self.penalty = (2 * self.penalty + Self::LEAST).min(Self::MOST);
@@ -48,7 +55,7 @@ impl Vigil {
 
     /// Offers the core to others and returns true; false where it is time to sleep.
     pub fn keep(&self) -> bool {
-        let keep = self.asleep == 0 && self.start.elapsed() < Self::LONGEST;
+        let keep = self.asleep == 0 && self.start.elapsed() < self.longest;
         if keep {
             std::thread::yield_now();
         }
@@ -59,5 +66,41 @@ impl Vigil {
 impl Default for Vigil {
     fn default() -> Self {
         Self::new()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A wait that began so long ago.
+    fn waiting(vigil: &mut Vigil, slept: bool, ago: Duration) {
+        vigil.begin(slept);
+        vigil.start = Instant::now().checked_sub(ago).unwrap();
+    }
+
+    #[test]
+    fn a_late_message_costs_the_next_waits_and_not_if_its_sender_had_to_be_woken_up() {
+        let late = Vigil::LONGEST + Vigil::WAKING / 2;
+        let mut vigil = Vigil::new();
+        // A pause of this thread may be longer than what is left, but not each time.
+        let kept = (0..1000).any(|_| {
+            waiting(&mut vigil, true, late);
+            vigil.keep()
+        });
+        assert!(kept);
+        waiting(&mut vigil, false, late);
+        assert!(!vigil.keep());
+        vigil.end();
+        for _ in 0..Vigil::LEAST {
+            vigil.begin(true);
+            assert!(!vigil.keep(), "it sleeps");
+            vigil.end();
+        }
+        let kept = (0..1000).any(|_| {
+            vigil.begin(false);
+            vigil.keep()
+        });
+        assert!(kept);
     }
 }

@@ -237,12 +237,12 @@ impl Session {
                 Ok(Some(request)) => {
                     vigil.end();
                     let start = Instant::now();
-                    let steps = self.answer(&request);
+                    let (steps, slept) = self.answer(&request);
                     self.note(start, steps);
                     total += steps;
                     active = Instant::now();
                     left -= usize::from(finish);
-                    vigil.begin();
+                    vigil.begin(slept);
                 }
                 Ok(None) if finish => break,
                 Ok(None) if !self.scheduler.is_busy() && vigil.keep() => {}
@@ -265,8 +265,8 @@ impl Session {
         total
     }
 
-    /// Answers one request; returns how many steps environments took.
-    fn answer(&mut self, request: &Request) -> u64 {
+    /// Answers one request; returns how many steps environments took, and whether the client had to be woken up.
+    fn answer(&mut self, request: &Request) -> (u64, bool) {
         let start = Instant::now();
         let asked = *request.user_header();
         let room = match &self.view {
@@ -277,7 +277,7 @@ impl Session {
             Ok(response) => response,
             Err(error) => {
                 tracing::warn!(session = self.shared.id, ?error, "no room for a reply");
-                return 0;
+                return (0, false);
             }
         };
         let mut header =
@@ -308,12 +308,12 @@ impl Session {
         if let Err(error) = response.send() {
             tracing::debug!(session = self.shared.id, ?error, "a reply was not delivered");
         }
-        self.ports.bells.reply().ring();
+        let slept = self.ports.bells.reply().ring();
         // Its client goes on meanwhile.
         if watched {
             self.shared.slot.show(&self.batch);
         }
-        steps
+        (steps, slept)
     }
 
     /// Counts what a request has done; returns how many steps environments took.
