@@ -63,6 +63,11 @@ impl Batch {
         &self.spec
     }
 
+    /// The time that a step of all environments is expected to take.
+    pub(crate) fn cost(&self) -> Duration {
+        self.cost * self.envs.len() as u32
+    }
+
     /// Copies of the environments `env_ids`, as they are now.
     pub(crate) fn copies(
         &self,

@@ -17,9 +17,11 @@
 //! | `witness.rs` | what is written down while environments step: failures, recordings |
 //! | `cpus.rs` | which processors a server uses |
 //! | `scheduler.rs` | turns: which session's environments run on which threads |
+//! | `turns.rs`, `pile.rs` | who is next; work that is cut into bites |
+//! | `seat.rs` | where a session sleeps until its client rings |
 //!
 //! Every session has its own data service, thread and environments, so a slow session never holds
-//! up a fast one; the scheduler hands out turns of about a millisecond, the next one to whoever has
+//! up a fast one; the scheduler hands out turns of about two milliseconds, the next one to whoever has
 //! had the threads for the least time.
 
 mod batch;
@@ -35,8 +37,10 @@ mod pile;
 mod ports;
 mod rows;
 mod scheduler;
+mod seat;
 mod session;
 mod store;
+mod turns;
 mod witness;
 
 use std::io;

@@ -4,8 +4,8 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
-/// How many long pieces are looked for in a piece of work.
-const MOST_LONG: usize = 16;
+/// How many long pieces are looked for in work that has some.
+pub(super) const MOST_LONG: usize = 16;
 
 /// Work that can be cut in two anywhere.
 pub(crate) trait Divisible: Send + Sized {
@@ -22,16 +22,17 @@ pub(crate) trait Divisible: Send + Sized {
 }
 
 /// Work from which threads take bite by bite. What a piece takes varies a lot, so only the clock tells
-/// when a turn is over: the work stays here until somebody takes it.
-pub(super) struct Pile<W> {
-    rest: Mutex<Rest<W>>,
+/// when a turn is over: the work stays here until somebody takes it. Of its long pieces, the first `LONG` are
+/// laid aside to be taken first; room for none is worth having where there are none, since work is large.
+pub(super) struct Pile<W, const LONG: usize> {
+    rest: Mutex<Rest<W, LONG>>,
     /// How many pieces are taken at once, at most.
     bite: usize,
     /// CPU time of all threads together, ns.
     computed: AtomicU64,
 }
 
-impl<W: Divisible> Pile<W> {
+impl<W: Divisible, const LONG: usize> Pile<W, LONG> {
     /// A pile of `work`, from which at most `bite` pieces are taken at once.
     pub(super) fn new(work: W, bite: usize) -> Self {
         Self { rest: Mutex::new(Rest::new(work)), bite, computed: AtomicU64::new(0) }
@@ -62,30 +63,32 @@ impl<W: Divisible> Pile<W> {
         Duration::from_nanos(self.computed.load(Ordering::Relaxed))
     }
 
-    fn lock(&self) -> MutexGuard<'_, Rest<W>> {
+    fn lock(&self) -> MutexGuard<'_, Rest<W, LONG>> {
         // What is left is consistent after every statement, panic or not.
         self.rest.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
 /// What nobody has taken yet.
-struct Rest<W> {
+struct Rest<W, const LONG: usize> {
     /// Pieces that may take long: whoever began one last would let all others wait.
-    long: [Option<W>; MOST_LONG],
-    /// What lies before, between and behind them.
-    short: [Option<W>; MOST_LONG + 1],
+    long: [Option<W>; LONG],
+    /// What lies before and between them.
+    short: [Option<W>; LONG],
+    /// What lies behind them.
+    behind: Option<W>,
     /// How many pieces all of these have.
     len: usize,
     /// How many threads take from it.
     threads: usize,
 }
 
-impl<W: Divisible> Rest<W> {
+impl<W: Divisible, const LONG: usize> Rest<W, LONG> {
     fn new(work: W) -> Self {
         let len = work.len();
-        let (mut long, mut short) = ([const { None }; MOST_LONG], [const { None }; MOST_LONG + 1]);
+        let (mut long, mut short) = ([const { None }; LONG], [const { None }; LONG]);
         let (mut behind, mut found) = (work, 0);
-        while found < MOST_LONG
+        while found < LONG
             && let Some(at) = behind.first_long()
         {
             let (before, rest) = behind.split_at(at);
@@ -93,8 +96,7 @@ impl<W: Divisible> Rest<W> {
             (short[found], long[found]) = (Some(before), Some(piece));
             (behind, found) = (rest, found + 1);
         }
-        short[found] = Some(behind);
-        Self { long, short, len, threads: 1 }
+        Self { long, short, behind: Some(behind), len, threads: 1 }
     }
 
     /// The next bite of at most `most` pieces, if there is one: less and less where there are several
@@ -106,7 +108,8 @@ impl<W: Divisible> Rest<W> {
             return Some(piece);
         }
         let fair = if self.threads > 1 { self.len / (2 * self.threads) } else { self.len };
-        let part = self.short.iter_mut().find(|part| part.as_ref().is_some_and(|w| w.len() > 0))?;
+        let mut parts = self.short.iter_mut().chain([&mut self.behind]);
+        let part = parts.find(|part| part.as_ref().is_some_and(|work| work.len() > 0))?;
         let work = part.take()?;
         let bite = most.min(fair).clamp(1, work.len());
         let (now, left) = work.split_at(bite);
@@ -149,7 +152,8 @@ mod tests {
     #[test]
     fn long_pieces_are_begun_first_and_bites_get_smaller() {
         let taken = |count: usize, threads: usize| {
-            let mut rest = Rest::new(Numbers { range: 0..count, timed: threads > 1 });
+            let mut rest =
+                Rest::<_, MOST_LONG>::new(Numbers { range: 0..count, timed: threads > 1 });
             rest.threads = threads;
             let bites: Vec<_> = std::iter::from_fn(|| rest.take(5))
                 .map(|bite| bite.range.collect::<Vec<_>>())

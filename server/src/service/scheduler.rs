@@ -6,18 +6,21 @@
 //! threads evenly whatever their size, and one that needs less than its share hardly waits. A session
 //! that finds idle threads uses them too.
 //!
+//! Who waits for a turn is in the queue of `turns.rs`; so are sessions that sleep until their client rings, while
+//! all threads are taken (`seat.rs`).
+//!
 //! A turn can last much longer: one environment's step may take milliseconds, and the kernel may give
 //! the processor to others meanwhile. Whoever is next and needs little does not wait for its end but
 //! goes ahead, on one thread more, one at a time: at once where every thread has somebody who needs more,
 //! else after a millisecond, or as many as there were others before it when it looked last. None of this
 //! changes any result.
 
-use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
-use std::thread::Thread;
 use std::time::{Duration, Instant};
 
-use super::pile::{Divisible, Pile};
+use super::pile::{Divisible, MOST_LONG, Pile};
+use super::turns::{Grant, Share, Turns, User, Waiter};
 use crate::clock::thread_time;
 
 /// How long a session may keep a thread while others wait, and one bite more. With half of it, 64 clients of
@@ -41,9 +44,7 @@ const WORTH: Duration = Duration::from_micros(50);
 #[derive(Debug, Clone)]
 pub(crate) struct Scheduler {
     threads: Arc<Threads>,
-    share: Arc<Share>,
-    /// CPU time, on the clock of [`Turns`], ns.
-    spent: Arc<AtomicU64>,
+    pub(super) user: Arc<User>,
 }
 
 #[derive(Debug)]
@@ -53,88 +54,6 @@ struct Threads {
     turns: Mutex<Turns>,
     /// Time for which threads were taken, all together, ns.
     busy: AtomicU64,
-}
-
-#[derive(Debug)]
-struct Turns {
-    free: usize,
-    /// Threads that those have who needed more than little.
-    long: usize,
-    /// Somebody has gone ahead.
-    ahead: bool,
-    /// In order of arrival.
-    waiting: Vec<Waiting>,
-    /// What the one who had the latest turn had spent before it, ns.
-    clock: u64,
-}
-
-impl Turns {
-    /// Whose turn is next: who had the threads for the least time, of those who may have one more.
-    fn next(&self) -> Option<usize> {
-        let waiting = self.waiting.iter().enumerate();
-        let may_run = waiting.filter(|(_, each)| each.share.left() > 0);
-        may_run.min_by_key(|(_, each)| each.spent).map(|(next, _)| next)
-    }
-
-    /// How many have their turn before `waiter`, of those who may run; 0 if it does not wait.
-    fn before(&self, waiter: &Arc<Waiter>) -> usize {
-        let index = self.waiting.iter().position(|each| Arc::ptr_eq(&each.waiter, waiter));
-        let Some(index) = index else { return 0 };
-        let mine = (self.waiting[index].spent, index);
-        let others = self.waiting.iter().enumerate();
-        let may_run = others.filter(|(_, each)| each.share.left() > 0);
-        may_run.filter(|(other, each)| (each.spent, *other) < mine).count()
-    }
-
-    /// Lets one of those who wait have a thread.
-    fn call(&mut self, next: usize) -> Arc<Waiter> {
-        let Waiting { waiter, share, spent, little } = self.waiting.remove(next);
-        self.clock = self.clock.max(spent);
-        share.taken.fetch_add(1, Ordering::Relaxed);
-        self.long += usize::from(!little);
-        waiter
-    }
-
-    /// Lets `waiter` have a thread more than there are, where it is next and nobody else has done so.
-    fn go_ahead(&mut self, waiter: &Arc<Waiter>) -> bool {
-        let next = self.next().filter(|next| Arc::ptr_eq(&self.waiting[*next].waiter, waiter));
-        let Some(next) = next.filter(|_| !self.ahead) else { return false };
-        self.call(next);
-        self.ahead = true;
-        true
-    }
-}
-
-/// How many threads somebody may have, and has. Read and written under the lock of [`Turns`].
-#[derive(Debug)]
-struct Share {
-    limit: usize,
-    taken: AtomicUsize,
-}
-
-impl Share {
-    fn new(limit: usize) -> Arc<Self> {
-        Arc::new(Self { limit, taken: AtomicUsize::new(0) })
-    }
-
-    fn left(&self) -> usize {
-        self.limit.saturating_sub(self.taken.load(Ordering::Relaxed))
-    }
-}
-
-/// Somebody who waits for a turn.
-#[derive(Debug)]
-struct Waiting {
-    waiter: Arc<Waiter>,
-    share: Arc<Share>,
-    spent: u64,
-    little: bool,
-}
-
-#[derive(Debug)]
-struct Waiter {
-    thread: Thread,
-    called: AtomicBool,
 }
 
 thread_local! {
@@ -150,21 +69,20 @@ impl Scheduler {
             .num_threads(threads)
             .thread_name(|index| format!("trocar-step-{index}"))
             .build()?;
-        let turns =
-            Mutex::new(Turns { free: threads, long: 0, ahead: false, waiting: vec![], clock: 0 });
+        let turns = Mutex::new(Turns::new(threads));
         let threads = Threads { count: threads, pool, turns, busy: AtomicU64::new(0) };
-        let (threads, share) = (Arc::new(threads), Share::new(usize::MAX));
-        Ok(Self { threads, share, spent: Arc::default() })
+        Ok(Self { threads: Arc::new(threads), user: User::new(Share::new(usize::MAX)) })
     }
 
     /// The same threads, of which this one and its clones may have at most `limit` at a time.
     pub(crate) fn limited(&self, limit: usize) -> Self {
-        Self { share: Share::new(limit), ..self.separate() }
+        Self { threads: Arc::clone(&self.threads), user: User::new(Share::new(limit)) }
     }
 
     /// The same threads and share, for somebody whose time counts separately.
     pub(crate) fn separate(&self) -> Self {
-        Self { spent: Arc::default(), ..self.clone() }
+        let user = User::new(Arc::clone(&self.user.share));
+        Self { threads: Arc::clone(&self.threads), user }
     }
 
     /// Time for which threads were taken, all together.
@@ -175,18 +93,26 @@ impl Scheduler {
     /// Does `work`, turn by turn. `cost` is the time one piece is expected to take; it is updated
     /// by what was measured.
     pub(crate) fn run<W: Divisible>(&self, work: W, cost: &mut Duration) {
+        if work.first_long().is_some() {
+            self.work_through::<W, MOST_LONG>(work, cost);
+        } else {
+            self.work_through::<W, 0>(work, cost);
+        }
+    }
+
+    fn work_through<W: Divisible, const LONG: usize>(&self, work: W, cost: &mut Duration) {
         let count = work.len();
         let each = cost.as_nanos().max(1);
-        let pile = Pile::new(work, (BITE.as_nanos() / each) as usize);
+        let pile = Pile::<W, LONG>::new(work, (BITE.as_nanos() / each) as usize);
         loop {
             let left = pile.len();
             if left == 0 {
                 break;
             }
             let most = (each * left as u128 / WORTH.as_nanos()).clamp(1, left as u128) as usize;
-            let turn = self.acquire(most, each * left as u128 <= BITE.as_nanos());
-            pile.expect(turn.threads);
-            if turn.threads == 1 {
+            let turn = self.acquire(most, is_little(*cost, left));
+            pile.expect(turn.grant.threads);
+            if turn.grant.threads == 1 {
                 turn.work_off(&pile);
             } else {
                 self.threads.pool.install(|| turn.share_out(&pile));
@@ -197,18 +123,6 @@ impl Scheduler {
         }
     }
 
-    /// Whether a turn may go on when its time is over: nobody waits who could have its threads, and none
-    /// are idle that could help.
-    fn renew(&self, turn: &Turn<'_>) -> bool {
-        let mut turns = self.lock();
-        let all_in_use = turns.free.min(self.share.left()) == 0;
-        let goes_on = !turn.ahead && all_in_use && turns.next().is_none();
-        if goes_on {
-            turns.clock = turns.clock.max(self.spent.load(Ordering::Relaxed));
-        }
-        goes_on
-    }
-
     /// Whether there are several threads.
     pub(crate) fn is_parallel(&self) -> bool {
         self.threads.count > 1
@@ -216,31 +130,18 @@ impl Scheduler {
 
     /// Whether every thread is taken.
     pub(crate) fn is_busy(&self) -> bool {
-        self.lock().free == 0
+        self.lock().is_busy()
     }
 
     /// Waits for a thread, then takes up to `most` that are idle. Who needs `little` may go ahead.
     fn acquire(&self, most: usize, little: bool) -> Turn<'_> {
         let mut turns = self.lock();
-        let spent = self.spent.fetch_max(turns.clock, Ordering::Relaxed).max(turns.clock);
-        // Whoever waits while threads are free has taken all of its share.
-        let threads = turns.free.min(most).min(self.share.left());
-        if threads > 0 {
-            turns.free -= threads;
-            turns.long += if little { 0 } else { threads };
-            turns.clock = spent;
-            self.share.taken.fetch_add(threads, Ordering::Relaxed);
-            return Turn { scheduler: self, threads, little, ahead: false };
+        if let Some(grant) = turns.take(&self.user, most, little) {
+            return Turn { scheduler: self, grant };
         }
         WAITER.with(|waiter| {
             waiter.called.store(false, Ordering::Relaxed);
-            let share = Arc::clone(&self.share);
-            turns.waiting.push(Waiting { waiter: Arc::clone(waiter), share, spent, little });
-            // Who needs more than little may keep its thread for longer than patience lasts. A client of
-            // NeedleReach beside seven of BiPegTransfer has a p99 of 8.2 ms so, of 11.3 ms where it is patient
-            // (ten alternating pairs).
-            let all_long = turns.long == self.threads.count;
-            let mut ahead = little && all_long && turns.go_ahead(waiter);
+            let mut ahead = turns.queue(&self.user, waiter, little);
             let mut before = if little { turns.before(waiter) } else { 0 };
             drop(turns);
             while !ahead && !waiter.called.load(Ordering::Acquire) {
@@ -253,55 +154,51 @@ impl Scheduler {
                     std::thread::park();
                 }
             }
-            Turn { scheduler: self, threads: 1, little, ahead }
+            Turn { scheduler: self, grant: Grant { threads: 1, little, ahead } }
         })
     }
 
-    fn release(&self, turn: &Turn<'_>) {
+    /// Threads get free as `how` says, and go to those who are next. They are woken up with the lock released:
+    /// on the same processor they may run at once, and would only find it taken.
+    pub(super) fn free(&self, how: impl FnOnce(&mut Turns)) {
         let mut turns = self.lock();
-        self.share.taken.fetch_sub(turn.threads, Ordering::Relaxed);
-        turns.long -= if turn.little { 0 } else { turn.threads };
-        if turn.ahead {
-            turns.ahead = false;
-        } else {
-            turns.free += turn.threads;
-        }
-        while turns.free > 0 {
-            let Some(next) = turns.next() else { break };
-            turns.free -= 1;
-            let waiter = turns.call(next);
-            waiter.called.store(true, Ordering::Release);
-            waiter.thread.unpark();
+        how(&mut turns);
+        while let Some(called) = turns.pass_on() {
+            drop(turns);
+            called.wake();
+            turns = self.lock();
         }
     }
 
-    fn lock(&self) -> MutexGuard<'_, Turns> {
+    pub(super) fn lock(&self) -> MutexGuard<'_, Turns> {
         // The guarded numbers are consistent after every statement, panic or not.
         self.threads.turns.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
+/// Whether `count` pieces that take `cost` each are little work.
+pub(super) fn is_little(cost: Duration, count: usize) -> bool {
+    cost.as_nanos().max(1) * count as u128 <= BITE.as_nanos()
+}
+
 /// Threads that are taken. They are given back when this is dropped, also by a panic.
 struct Turn<'a> {
     scheduler: &'a Scheduler,
-    threads: usize,
-    /// It was taken for little work.
-    little: bool,
-    /// It is one more than there are.
-    ahead: bool,
+    grant: Grant,
 }
 
 impl Turn<'_> {
     /// Half of the threads, where there are several.
     fn split_off(&mut self) -> Option<Self> {
-        let half = self.threads / 2;
-        self.threads -= half;
-        (half > 0).then_some(Self { threads: half, ..*self })
+        let half = self.grant.threads / 2;
+        self.grant.threads -= half;
+        let grant = Grant { threads: half, ..self.grant };
+        (half > 0).then_some(Self { grant, ..*self })
     }
 
     /// Works on all of its threads, which the current pool has. Each is given back by itself: others
     /// need not wait for the last one.
-    fn share_out<W: Divisible>(mut self, pile: &Pile<W>) {
+    fn share_out<W: Divisible, const LONG: usize>(mut self, pile: &Pile<W, LONG>) {
         match self.split_off() {
             Some(half) => {
                 rayon::join(|| self.share_out(pile), || half.share_out(pile));
@@ -311,14 +208,14 @@ impl Turn<'_> {
     }
 
     /// Works on this thread, which is its only one. It gets at least one bite done.
-    fn work_off<W: Divisible>(self, pile: &Pile<W>) {
+    fn work_off<W: Divisible, const LONG: usize>(self, pile: &Pile<W, LONG>) {
         let mut watch = Watch::start();
         while let Some(work) = pile.take() {
             work.run();
             if watch.start.elapsed() >= TURN {
                 self.charge(pile, &watch);
                 watch = Watch::start();
-                if !self.scheduler.renew(&self) {
+                if !self.scheduler.lock().renew(&self.scheduler.user, self.grant) {
                     break;
                 }
             }
@@ -328,10 +225,10 @@ impl Turn<'_> {
 
     /// Takes note of the time that it took. Nobody is charged for that in which the kernel lets others
     /// have the processor.
-    fn charge<W: Divisible>(&self, pile: &Pile<W>, watch: &Watch) {
+    fn charge<W: Divisible, const LONG: usize>(&self, pile: &Pile<W, LONG>, watch: &Watch) {
         let computed = thread_time().saturating_sub(watch.computed).as_nanos() as u64;
         pile.charge(computed);
-        self.scheduler.spent.fetch_add(computed, Ordering::Relaxed);
+        self.scheduler.user.spent.fetch_add(computed, Ordering::Relaxed);
         let taken = watch.start.elapsed().as_nanos() as u64;
         self.scheduler.threads.busy.fetch_add(taken, Ordering::Relaxed);
     }
@@ -339,7 +236,7 @@ impl Turn<'_> {
 
 impl Drop for Turn<'_> {
     fn drop(&mut self) {
-        self.scheduler.release(self);
+        self.scheduler.free(|turns| turns.give_back(&self.scheduler.user, self.grant));
     }
 }
 
@@ -421,11 +318,11 @@ mod tests {
         let scheduler = Scheduler::new(1).unwrap();
         let [heavy, light, idle] = [30, 20, 0].map(|spent| {
             let user = scheduler.separate();
-            user.spent.store(spent, Ordering::Relaxed);
+            user.user.spent.store(spent, Ordering::Relaxed);
             user
         });
         let running = scheduler.separate();
-        running.spent.store(10, Ordering::Relaxed);
+        running.user.spent.store(10, Ordering::Relaxed);
         let turn = running.acquire(1, false);
         let order = Mutex::new(vec![]);
         std::thread::scope(|scope| {
@@ -445,7 +342,7 @@ mod tests {
             drop(turn);
         });
         assert_eq!(*order.lock().unwrap(), ["idle", "light", "heavy"]);
-        assert_eq!(idle.spent.load(Ordering::Relaxed), 10);
+        assert_eq!(idle.user.spent.load(Ordering::Relaxed), 10);
         assert_eq!(scheduler.lock().clock, 30);
     }
 
@@ -461,11 +358,11 @@ mod tests {
             let block = first.acquire(1, true);
             for (index, spent) in spent.into_iter().enumerate() {
                 let small = scheduler.separate();
-                small.spent.store(spent, Ordering::Relaxed);
+                small.user.spent.store(spent, Ordering::Relaxed);
                 let done = &done;
                 scope.spawn(move || {
                     let turn = small.acquire(1, true);
-                    done.lock().unwrap().push((spent, index, turn.ahead));
+                    done.lock().unwrap().push((spent, index, turn.grant.ahead));
                 });
                 while scheduler.lock().waiting.len() <= index {
                     std::thread::yield_now();
@@ -486,7 +383,7 @@ mod tests {
     fn who_needs_little_does_not_wait_for_the_end_of_a_long_turn() {
         let scheduler = Scheduler::new(1).unwrap();
         let [long, small, large] = [(); 3].map(|()| scheduler.separate());
-        large.spent.store(10, Ordering::Relaxed);
+        large.user.spent.store(10, Ordering::Relaxed);
         let quota = scheduler.limited(1);
         let turn = long.acquire(1, false);
         let state = || {
@@ -495,14 +392,14 @@ mod tests {
         };
         assert_eq!(state(), (0, 1, false, 0));
         let one = small.acquire(1, true);
-        assert_eq!((one.ahead, state()), (true, (0, 1, true, 0)));
+        assert_eq!((one.grant.ahead, state()), (true, (0, 1, true, 0)));
         drop(one);
         assert_eq!(state(), (0, 1, false, 0));
         // Nor does it help to have many: one goes ahead at a time, and nobody beyond its share.
         let (one, other) = (quota.acquire(1, true), quota.separate());
         std::thread::scope(|scope| {
             let later = scope.spawn(|| drop(other.acquire(1, true)));
-            let large = scope.spawn(|| large.acquire(1, false).ahead);
+            let large = scope.spawn(|| large.acquire(1, false).grant.ahead);
             while state().3 < 2 {
                 std::thread::yield_now();
             }
@@ -515,7 +412,7 @@ mod tests {
             assert!(!large.join().unwrap());
         });
         assert_eq!(state(), (1, 0, false, 0));
-        assert_eq!((quota.share.left(), scheduler.share.left()), (1, usize::MAX));
+        assert_eq!((quota.user.share.left(), scheduler.user.share.left()), (1, usize::MAX));
     }
 
     #[test]
@@ -546,7 +443,7 @@ mod tests {
         assert_eq!(most.into_inner(), 1);
         assert!(most_free.into_inner() <= 4);
         assert_eq!(scheduler.lock().free, 3);
-        assert_eq!((small.share.left(), scheduler.share.left()), (1, usize::MAX));
+        assert_eq!((small.user.share.left(), scheduler.user.share.left()), (1, usize::MAX));
         assert!(scheduler.busy() > Duration::ZERO);
     }
 

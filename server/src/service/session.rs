@@ -24,6 +24,7 @@ use super::meter::{Meter, TaskMeter};
 use super::ports::{self, DataPorts, Request};
 use super::rows::Rows;
 use super::scheduler::Scheduler;
+use super::seat::Seat;
 use super::store::{Ledger, Saved, Store};
 use super::witness::{Failures, Tape, Witness};
 use crate::env::{Env, Imaging, Rebuild};
@@ -135,6 +136,7 @@ struct Session {
     /// How its environments are drawn when that is asked for.
     view: Option<(Imaging, PictureLayout)>,
     ports: DataPorts,
+    seat: Seat,
     inbox: Inbox,
 }
 
@@ -187,7 +189,9 @@ impl Session {
             return Err(Rejection::new(Code::UnknownSession, "session", id, why));
         }
         let ports = DataPorts::open(&ground.node, &ground.endpoint, epoch, id, most)?;
+        let scheduler = account.scheduler.separate();
         let session = Self {
+            seat: Seat::new(scheduler.clone(), Arc::clone(&ports.bells)),
             ports,
             inbox: Inbox {
                 env_ids: vec![0; envs],
@@ -195,7 +199,7 @@ impl Session {
                 numbers: vec![0; envs],
             },
             meter: ground.meter.task(&shared.task),
-            scheduler: account.scheduler.separate(),
+            scheduler,
             next_step: wanted.autoreset == Autoreset::NextStep,
             ground,
             shared,
@@ -242,6 +246,7 @@ impl Session {
                     total += steps;
                     active = Instant::now();
                     left -= usize::from(finish);
+                    self.seat.decline();
                     vigil.begin(slept);
                 }
                 Ok(None) if finish => break,
@@ -253,7 +258,7 @@ impl Session {
                     if self.shared.slot.is_watched() {
                         self.shared.slot.show(&self.batch);
                     }
-                    self.ports.bells.request().sleep(seen, SLICE);
+                    self.seat.sleep(seen, self.batch.cost(), SLICE);
                 }
                 Err(error) => {
                     let session = self.shared.id;
