@@ -25,9 +25,10 @@ impl Vigil {
     /// each side finds the other one asleep whenever it tries to be awake, and both go on sleeping.
     const WAKING: Duration = Duration::from_micros(100);
 
-    /// Waits that one late message costs: others keep a core for milliseconds, and a wake-up that is
-    /// saved is worth some ten microseconds.
-    const LEAST: u32 = 512;
+    /// What a wake-up that is saved is worth: a message that is as late as that costs one of the next waits. Others keep
+    /// a core for milliseconds.
+    const WORTH: Duration = Duration::from_micros(8);
+    /// Most waits that are slept through.
     const MOST: u32 = 8192;
 
     /// One that has to find out whether it pays.
@@ -43,12 +44,14 @@ impl Vigil {
 
     /// The message is there.
     pub fn end(&mut self) {
+        let waited = self.start.elapsed();
         if self.asleep > 0 {
             self.asleep -= 1;
-        } else if self.start.elapsed() < self.longest {
+        } else if waited < self.longest {
             self.penalty = self.penalty.saturating_sub(1);
         } else {
-            self.penalty = (2 * self.penalty + Self::LEAST).min(Self::MOST);
+            let cost = (waited.as_nanos() / Self::WORTH.as_nanos()) as u32;
+            self.penalty = self.penalty.saturating_mul(2).saturating_add(cost).min(Self::MOST);
             self.asleep = self.penalty;
         }
     }
@@ -82,6 +85,7 @@ mod tests {
     #[test]
     fn a_late_message_costs_the_next_waits_and_not_if_its_sender_had_to_be_woken_up() {
         let late = Vigil::LONGEST + Vigil::WAKING / 2;
+        let cost = late.as_micros() / Vigil::WORTH.as_micros();
         let mut vigil = Vigil::new();
         // A pause of this thread may be longer than what is left, but not each time.
         let kept = (0..1000).any(|_| {
@@ -92,14 +96,16 @@ mod tests {
         waiting(&mut vigil, false, late);
         assert!(!vigil.keep());
         vigil.end();
-        for _ in 0..Vigil::LEAST {
+        for _ in 0..cost {
             vigil.begin(true);
             assert!(!vigil.keep(), "it sleeps");
             vigil.end();
         }
-        let kept = (0..1000).any(|_| {
-            vigil.begin(false);
-            vigil.keep()
+        let kept = (0..Vigil::MOST).any(|_| {
+            vigil.begin(true);
+            let kept = vigil.keep();
+            vigil.end();
+            kept
         });
         assert!(kept);
     }
