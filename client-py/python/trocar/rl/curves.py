@@ -82,7 +82,7 @@ def plot(made: list[Curve], path: Path) -> None:
     tasks = sorted({curve.task for curve in made})
     columns = min(len(tasks), 5)
     rows = -(-len(tasks) // columns)
-    figure = Figure(figsize=(3.6 * columns, 3.0 * rows), dpi=100, layout="constrained")
+    figure = Figure(figsize=(3.6 * columns, 3.4 * rows), dpi=100, layout="constrained")
     panels = figure.subplots(rows, columns, squeeze=False).flat
     for panel in panels:
         panel.set_visible(False)
@@ -107,7 +107,14 @@ def _panel(panel: Axes, task: str, made: list[Curve]) -> None:
     if not is_of_returns(task):
         panel.set_ylim(-3, 103)
     panel.grid(alpha=0.3)
-    panel.legend(fontsize="small")
+    # Below: it hides no curve.
+    panel.legend(
+        loc="upper left",
+        bbox_to_anchor=(0.0, -0.3),
+        borderaxespad=0.0,
+        frameon=False,
+        fontsize="small",
+    )
 
 
 def plot_run(run: Run, path: Path) -> None:
