@@ -254,9 +254,10 @@ impl DataPort {
         }
     }
 
-    /// Wakes the session, so that it sees at once that it was closed.
+    /// Wakes the session, so that it sees at once that it was closed, also where a ring would wait for its turn.
     pub(crate) fn wake(&self) {
         self.bells.request().ring();
+        self.bells.request().wake();
     }
 
     pub(crate) fn link(&self) -> &Arc<Owned<Link>> {
