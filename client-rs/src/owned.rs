@@ -4,7 +4,7 @@
 //! that the parent still uses.
 
 use std::mem::ManuallyDrop;
-use std::ops::Deref;
+use std::ops::{Deref, DerefMut};
 
 use crate::error::CallError;
 
@@ -46,6 +46,12 @@ impl<T> Deref for Owned<T> {
 
     fn deref(&self) -> &T {
         &self.value
+    }
+}
+
+impl<T> DerefMut for Owned<T> {
+    fn deref_mut(&mut self) -> &mut T {
+        &mut self.value
     }
 }
 

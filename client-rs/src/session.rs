@@ -14,7 +14,7 @@ use crate::client::{Client, unexpected};
 use crate::error::CallError;
 use crate::reply::{EnvIds, Reply};
 use crate::snapshot::{Dropped, Snapshot};
-use crate::transport::{DataPort, Owned, RawPending, SLICE, refusal};
+use crate::transport::{DataPort, Owned, Pending, SLICE, refusal};
 
 /// How many groups of environments a session remembers.
 const GROUPS: usize = 8;
@@ -46,7 +46,7 @@ pub struct Session {
 /// A request that was not answered yet. Declared order is drop order.
 #[derive(Debug)]
 struct InFlight {
-    pending: Owned<RawPending>,
+    pending: Owned<Pending>,
     kind: u32,
     env_ids: EnvIds,
     /// Environments that it changes or reads.
@@ -341,8 +341,10 @@ impl Session {
     /// Waits at most `patience` for the reply to the oldest request in flight.
     pub fn poll(&mut self, patience: Duration) -> Result<Option<Reply>, CallError> {
         let port = self.port.get_mut()?;
-        let Some(oldest) = self.in_flight.front() else { return Err(CallError::NothingInFlight) };
-        let raw = match port.receive(&oldest.pending, patience) {
+        let Some(oldest) = self.in_flight.front_mut() else {
+            return Err(CallError::NothingInFlight);
+        };
+        let raw = match port.receive(&mut oldest.pending, patience) {
             Ok(Some(raw)) => raw,
             Ok(None) => return Ok(None),
             // It is still to be had, once others were dropped.
@@ -504,7 +506,6 @@ impl Drop for Session {
             let (session, node) = (self.info.session, port.link().node_id());
             // Where the server is gone, so is the session.
             port.link().call(&ControlRequest::CloseSession { session, node }).ok();
-            port.wake();
         }
     }
 }

@@ -9,9 +9,11 @@ use iceoryx2::port::client::Client as ClientPort;
 use iceoryx2::port::notifier::Notifier;
 use iceoryx2::prelude::{Alignment, EventId, ServiceName};
 use iceoryx2::response::Response;
-use trocar_proto::bell::{Bells, Woken};
+use trocar_proto::bell::Bells;
 use trocar_proto::control::{self, ControlReply, ControlRequest, MAX_MESSAGE, SessionInfo};
+use trocar_proto::door::Door;
 use trocar_proto::endpoint::{self, Membership, Node, ServerState, Transport};
+use trocar_proto::sleep::Woken;
 use trocar_proto::vigil::Vigil;
 use trocar_proto::wire::{ALIGNMENT, Header};
 use trocar_proto::{Code, Rejection};
@@ -29,8 +31,15 @@ const BRISK: Duration = Duration::from_micros(200);
 /// A reply in shared memory; it stays there until this is dropped.
 pub(crate) type RawReply = Response<Transport, [u8], Header>;
 
+type PendingRequest = PendingResponse<Transport, [u8], Header, [u8], Header>;
+
 /// A request that was sent and not yet answered.
-pub(crate) type RawPending = PendingResponse<Transport, [u8], Header, [u8], Header>;
+#[derive(Debug)]
+pub(crate) struct Pending {
+    request: PendingRequest,
+    /// How often the bell of replies had been rung before it was sent, or when its reply was last looked for.
+    seen: u32,
+}
 
 type Port = ClientPort<Transport, [u8], Header, [u8], Header>;
 
@@ -46,6 +55,7 @@ pub(crate) struct Link {
     /// Threads that share a client take turns: one control request at a time is in flight.
     control: Mutex<Port>,
     bell: Notifier<Transport>,
+    door: Door,
     node: Node,
     membership: Membership,
     epoch: u64,
@@ -71,7 +81,8 @@ impl Link {
         let event =
             node.service_builder(&name).event().open().map_err(transport("control bell"))?;
         let bell = event.notifier_builder().create().map_err(transport("control bell port"))?;
-        Ok(Self { control: Mutex::new(control), bell, node, membership, epoch })
+        let door = Door::open(membership.endpoint(), epoch).map_err(transport("door"))?;
+        Ok(Self { control: Mutex::new(control), bell, door, node, membership, epoch })
     }
 
     /// The number that names this participant to the server.
@@ -159,9 +170,10 @@ impl Link {
 #[derive(Debug)]
 pub(crate) struct DataPort {
     port: Port,
+    seat: u32,
     bells: Bells,
     vigil: Vigil,
-    /// The session slept when the latest request was sent.
+    /// Somebody had to be woken up for the latest request.
     slept: bool,
     request_bytes: usize,
     session: u64,
@@ -194,7 +206,7 @@ impl DataPort {
         let bells = Bells::open(link.membership.endpoint(), epoch, session);
         let bells = bells.map_err(transport("session bells"))?;
         let vigil = Vigil::new();
-        Ok(Self { port, bells, vigil, slept: false, request_bytes, session, link })
+        Ok(Self { port, seat: info.seat, bells, vigil, slept: false, request_bytes, session, link })
     }
 
     /// Sends a request whose payload `fill` writes.
@@ -202,51 +214,49 @@ impl DataPort {
         &mut self,
         header: Header,
         fill: impl FnOnce(&mut [u8]),
-    ) -> Result<RawPending, CallError> {
+    ) -> Result<Pending, CallError> {
+        let seen = self.bells.reply().count();
         let mut request = self.port.loan_slice(self.request_bytes).map_err(transport("request"))?;
         fill(request.payload_mut());
         *request.user_header_mut() = header;
-        let pending = request.send().map_err(transport("request"))?;
-        self.slept = self.bells.request().ring();
-        Ok(pending)
+        let request = request.send().map_err(transport("request"))?;
+        self.slept = self.link.door.ring(self.seat, self.bells.size());
+        Ok(Pending { request, seen })
     }
 
-    /// Waits at most `patience` for the reply to `pending`; checks that the server lives whenever
-    /// a wait was in vain.
+    /// Waits at most `patience` for the reply to `pending`. Where that is in vain, and whenever a wait was, it looks
+    /// whether the server lives; else it looks only when the bell was rung.
     pub(crate) fn receive(
         &mut self,
-        pending: &RawPending,
+        pending: &mut Pending,
         patience: Duration,
     ) -> Result<Option<RawReply>, CallError> {
         let deadline = Instant::now() + patience;
-        let mut slice = SLICE;
+        let (mut slice, mut late) = (SLICE, false);
         self.vigil.begin(self.slept);
         loop {
-            let seen = self.bells.reply().count();
-            // Asked before the reply is looked for: a server answers, and then lets go.
-            let held = pending.number_of_server_connections() > 0 && pending.is_connected();
-            match pending.receive() {
-                Ok(Some(reply)) => {
+            let count = self.bells.reply().count();
+            let left = deadline.saturating_duration_since(Instant::now());
+            if count != pending.seen || late || left.is_zero() {
+                if let Some(reply) = self.look(&pending.request)? {
                     self.vigil.end();
                     return Ok(Some(reply));
                 }
-                Ok(None) if held => {}
-                Ok(None) => return Err(self.why_unanswered()),
-                Err(ReceiveError::ExceedsMaxBorrows) => return Err(CallError::TooManyHeld),
-                Err(error) => return Err(transport("reply")(error)),
+                (pending.seen, late) = (count, false);
+                if left.is_zero() {
+                    return Ok(None);
+                }
             }
             if self.vigil.keep() {
                 continue;
             }
-            let left = deadline.saturating_duration_since(Instant::now());
-            if left.is_zero() {
-                return Ok(None);
-            }
-            match self.bells.reply().sleep(seen, left.min(slice)) {
+            let (bell, limit) = (self.bells.reply(), left.min(slice));
+            match self.link.door.await_reply(self.seat, bell, pending.seen, limit) {
                 Woken::Rung => {}
                 Woken::Late => {
                     self.link.check_answers()?;
                     slice = (2 * slice).min(LONGEST_SLICE);
+                    late = true;
                 }
                 // The caller may want to act on the signal.
                 Woken::Interrupted => return Ok(None),
@@ -254,10 +264,16 @@ impl DataPort {
         }
     }
 
-    /// Wakes the session, so that it sees at once that it was closed, also where a ring would wait for its turn.
-    pub(crate) fn wake(&self) {
-        self.bells.request().ring();
-        self.bells.request().wake();
+    /// The reply to `request`, if it is there; an error if it will never be.
+    fn look(&self, request: &PendingRequest) -> Result<Option<RawReply>, CallError> {
+        // Asked before the reply is looked for: a server answers, and then lets go.
+        let held = request.number_of_server_connections() > 0 && request.is_connected();
+        match request.receive() {
+            Ok(None) if !held => Err(self.why_unanswered()),
+            Ok(reply) => Ok(reply),
+            Err(ReceiveError::ExceedsMaxBorrows) => Err(CallError::TooManyHeld),
+            Err(error) => Err(transport("reply")(error)),
+        }
     }
 
     pub(crate) fn link(&self) -> &Arc<Owned<Link>> {

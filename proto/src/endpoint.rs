@@ -231,7 +231,13 @@ impl Endpoint {
         Path::new(SHARED_MEMORY).join(name)
     }
 
-    /// The bells of all sessions that there are.
+    /// The door of the run `epoch` of the server.
+    pub(crate) fn door(&self, epoch: u64) -> PathBuf {
+        let name = format!("{}{BELLS}{epoch:016x}.door", self.prefix);
+        Path::new(SHARED_MEMORY).join(name)
+    }
+
+    /// The bells of all sessions that there are, and the doors.
     pub(crate) fn all_bells(&self) -> io::Result<Vec<PathBuf>> {
         let start = format!("{}{BELLS}", self.prefix);
         let mut paths = self.segments()?;

@@ -3,7 +3,9 @@
 //! | module | holds |
 //! |---|---|
 //! | [`endpoint`] | where a server is found: names, folders, transport configuration |
-//! | [`bell`] | what tells the other side of a session that a message is there |
+//! | [`door`] | what tells the server that messages are there, and of which sessions; where either side sleeps |
+//! | [`bell`] | what tells a client that a reply is there |
+//! | [`sleep`] | threads that sleep until somebody wakes them up |
 //! | [`vigil`] | waiting for a message awake |
 //! | [`control`] | rare messages: hello, tasks, sessions, status (serde + bincode, at most 64 KiB) |
 //! | [`wire`] | frequent messages: step and reset as plain arrays in shared memory |
@@ -30,9 +32,12 @@
 
 pub mod bell;
 pub mod control;
+pub mod door;
 pub mod endpoint;
 pub mod error;
 pub mod goal;
+mod mapping;
+pub mod sleep;
 pub mod snapshot;
 pub mod spec;
 pub mod stage;
@@ -44,4 +49,4 @@ pub use spec::{OptionValue, Options, TaskSpec};
 pub use stage::Stage;
 
 /// Version of everything in this crate; both sides must have the same.
-pub const PROTOCOL_VERSION: u32 = 5;
+pub const PROTOCOL_VERSION: u32 = 7;

@@ -8,7 +8,7 @@ use trocar_proto::{Code, Rejection, TaskSpec};
 
 use super::pile::Divisible;
 use super::rows::Rows;
-use super::scheduler::Scheduler;
+use super::scheduler::Turn;
 use super::witness::Witness;
 use crate::env::{Env, Imaging, Rebuild};
 use crate::error::StepError;
@@ -21,6 +21,8 @@ pub(crate) struct Batch {
     autoreset: Autoreset,
     /// Expected time of one environment's step.
     cost: Duration,
+    /// How many the latest message stepped.
+    stepped: usize,
     /// What the latest step of each environment took that was timed.
     took: Vec<Duration>,
 }
@@ -54,6 +56,7 @@ impl Batch {
             spec,
             autoreset: request.autoreset,
             cost: Duration::from_micros(100),
+            stepped: took.len(),
             took,
         })
     }
@@ -63,16 +66,21 @@ impl Batch {
         &self.spec
     }
 
-    /// The time that a step of all environments is expected to take.
+    /// The time that the next step is expected to take, if it is of as many environments as the latest.
     pub(crate) fn cost(&self) -> Duration {
-        self.cost * self.envs.len() as u32
+        self.cost * self.stepped as u32
+    }
+
+    /// Takes note of the time that the latest step took.
+    pub(crate) fn learn(&mut self, took: Duration) {
+        self.cost = (self.cost + took / self.stepped as u32) / 2;
     }
 
     /// Copies of the environments `env_ids`, as they are now.
     pub(crate) fn copies(
         &self,
         env_ids: &[u32],
-        scheduler: &Scheduler,
+        turn: &mut Turn<'_>,
     ) -> Result<Vec<Arc<Env>>, Rejection> {
         self.check_env_ids(env_ids)?;
         for id in env_ids {
@@ -81,9 +89,7 @@ impl Batch {
                 .map_err(|refusal| Rejection { value: id.to_string(), ..refusal })?;
         }
         let mut copies = vec![None; env_ids.len()];
-        let mut cost = COPY;
-        let work = Copying { envs: &self.envs, env_ids, copies: &mut copies };
-        scheduler.run(work, &mut cost);
+        turn.run(Copying { envs: &self.envs, env_ids, copies: &mut copies }, COPY);
         Ok(copies.into_iter().flatten().collect())
     }
 
@@ -91,7 +97,7 @@ impl Batch {
     pub(crate) fn sources(
         &self,
         numbers: &[u64],
-        scheduler: &Scheduler,
+        turn: &mut Turn<'_>,
     ) -> Result<Vec<Arc<Env>>, Rejection> {
         if let Some(number) = numbers.iter().find(|number| **number >= self.envs.len() as u64) {
             let allowed = format!("allowed are numbers below {}", self.envs.len());
@@ -100,7 +106,7 @@ impl Batch {
         let mut ids: Vec<u32> = numbers.iter().map(|number| *number as u32).collect();
         ids.sort_unstable();
         ids.dedup();
-        let copies = self.copies(&ids, scheduler)?;
+        let copies = self.copies(&ids, turn)?;
         let source = |number: &u64| {
             let at = ids.binary_search(&(*number as u32)).expect("its number was copied");
             Arc::clone(&copies[at])
@@ -115,7 +121,7 @@ impl Batch {
         view: &Imaging,
         rgb: &mut [u8],
         depth: &mut [f32],
-        scheduler: &Scheduler,
+        turn: &mut Turn<'_>,
     ) -> Result<(), Rejection> {
         self.check_env_ids(env_ids)?;
         let [id] = env_ids else {
@@ -124,8 +130,7 @@ impl Batch {
         };
         let env = &self.envs[*id as usize];
         env.check_begun()?;
-        let mut cost = PICTURE;
-        scheduler.run(Drawing { env: Some(env), view, rgb, depth }, &mut cost);
+        turn.run(Drawing { env: Some(env), view, rgb, depth }, PICTURE);
         Ok(())
     }
 
@@ -151,19 +156,20 @@ impl Batch {
         want_expert: bool,
         witness: Witness<'_>,
         rows: Rows<'_>,
-        scheduler: &Scheduler,
+        turn: &mut Turn<'_>,
     ) -> Result<(), Rejection> {
         self.check_env_ids(env_ids)?;
         if let Deed::Step(actions) = deed {
             self.check_actions(actions, env_ids)?;
             self.check_reset(env_ids)?;
         }
-        let mut cost = self.cost;
+        let cost = self.cost;
+        self.stepped = env_ids.len();
         let work = Work {
             first: 0,
             envs: &mut self.envs,
             took: &mut self.took,
-            long: (cost > WORTH_TIMING && scheduler.is_parallel()).then_some(cost * LONG),
+            long: (cost > WORTH_TIMING && turn.is_parallel()).then_some(cost * LONG),
             env_ids,
             deed,
             action_dim: self.spec.action_dim(),
@@ -172,8 +178,7 @@ impl Batch {
             witness,
             rows,
         };
-        scheduler.run(work, &mut cost);
-        self.cost = cost;
+        turn.run(work, cost);
         Ok(())
     }
 
@@ -328,6 +333,9 @@ const WORTH_TIMING: Duration = Duration::from_micros(10);
 /// About the time that a copy takes.
 const COPY: Duration = Duration::from_micros(50);
 
+/// About the time that a step of an environment that is rebuilt takes.
+const REBUILT: Duration = Duration::from_micros(300);
+
 /// About the time that a picture takes.
 const PICTURE: Duration = Duration::from_millis(50);
 
@@ -386,16 +394,15 @@ impl Divisible for Copying<'_> {
 /// still worth it; `None` where it was not.
 pub(crate) fn rebuild(
     mut rebuilds: Vec<Rebuild>,
-    scheduler: &Scheduler,
+    turn: &mut Turn<'_>,
     go_on: impl Fn() -> bool,
 ) -> Option<Vec<Result<Env, Rejection>>> {
-    let mut cost = Duration::from_micros(100);
     // All of them by one step at a time, so that they share the threads, also with other sessions.
     while rebuilds.iter().any(|rebuild| !rebuild.is_done()) {
         if !go_on() {
             return None;
         }
-        scheduler.run(Rebuilding(&mut rebuilds), &mut cost);
+        turn.run(Rebuilding(&mut rebuilds), REBUILT);
     }
     Some(rebuilds.into_iter().map(Rebuild::finish).collect())
 }

@@ -7,7 +7,10 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use iceoryx2::port::listener::ListenerWaitError;
-use trocar_proto::control::{self, ClientInfo, ControlReply, ControlRequest, ServerStatus};
+use trocar_proto::control::{
+    self, ClientInfo, ControlReply, ControlRequest, ServerStatus, SessionRequest,
+};
+use trocar_proto::door::Door;
 use trocar_proto::endpoint::{Endpoint, LEAST_WAIT, MAX_CLIENTS, Node, ServerLock};
 use trocar_proto::wire::Header;
 use trocar_proto::{Code, Rejection};
@@ -15,6 +18,7 @@ use trocar_proto::{Code, Rejection};
 use super::desk::{Answer, Desk, Footprint, Holding, Quota, Usage};
 use super::exporter::Exporter;
 use super::gallery::Gallery;
+use super::hall::{Hall, Seat};
 use super::handle::SessionHandle;
 use super::lease::{self, Census, Watch};
 use super::meter::Meter;
@@ -41,8 +45,10 @@ pub(super) fn run(
 ) -> Result<(), ServeError> {
     let epoch = lock.epoch();
     let ControlPorts { port, bell } = ControlPorts::open(node, epoch)?;
-    let scheduler =
-        Scheduler::new(config.threads).map_err(|error| ServeError::Threads(error.to_string()))?;
+    let door = Door::make(&endpoint, epoch).map_err(internal("door"))?;
+    let hall =
+        Hall::open(config.threads, door).map_err(|error| ServeError::Threads(error.to_string()))?;
+    let scheduler = Scheduler::new(hall);
     let meter = Arc::new(Meter::new(scheduler.clone(), config.threads, config.memory_bytes));
     let exporter = config.metrics.map(|address| {
         Exporter::start(address, Arc::clone(&meter))
@@ -131,7 +137,7 @@ struct Host {
     /// What the clients that have sessions have of these, by process id.
     accounts: BTreeMap<u32, Account>,
     sessions: BTreeMap<u64, SessionHandle>,
-    /// Sessions that were closed and whose threads have not ended yet, or not been joined.
+    /// Sessions that were closed and are not gone yet, or not known to be.
     ending: Vec<SessionHandle>,
     opened: u64,
     /// The live viewer, from when somebody asked for it.
@@ -163,16 +169,14 @@ impl Host {
                 "it is ending; open the session in its successor",
             )),
             Answer::Open { request: wanted, client, footprint } => {
-                self.opened += 1;
-                let id = self.opened;
-                let (ground, account) = (Arc::clone(&self.ground), self.account(&client));
-                let handle = session::open(ground, account, id, wanted, client, footprint, request);
-                if let Some(handle) = handle {
-                    self.sessions.insert(id, handle);
-                    self.take_stock();
+                if let Some(seat) = self.scheduler.hall().keep_seat() {
+                    self.open(seat, wanted, client, footprint, request);
+                    // It is answered once everything is in place.
+                    return;
                 }
-                // The session's own thread replies once everything is in place.
-                return;
+                let why = "every seat is taken; close a session";
+                let open = self.sessions.len();
+                ControlReply::Refused(Rejection::new(Code::TooManySessions, "session", open, why))
             }
             Answer::Close { session, node } => self.close(session, node),
             Answer::Forget { session, node, snapshots } => {
@@ -221,6 +225,25 @@ impl Host {
         ports::reply(&request, &result);
     }
 
+    /// Begins to open a session, which then replies.
+    fn open(
+        &mut self,
+        seat: Seat,
+        wanted: SessionRequest,
+        client: ClientInfo,
+        footprint: Footprint,
+        request: Request,
+    ) {
+        self.opened += 1;
+        let place = (self.opened, seat);
+        let (ground, account) = (Arc::clone(&self.ground), self.account(&client));
+        let handle = session::open(ground, account, place, wanted, client, footprint, request);
+        if let Some(handle) = handle {
+            self.sessions.insert(self.opened, handle);
+            self.take_stock();
+        }
+    }
+
     fn judge(&mut self, header: &Header, payload: &[u8]) -> Answer {
         let answer = self.desk.judge(header, payload, &self.usage());
         match &answer {
@@ -229,7 +252,7 @@ impl Host {
                 if matches!(refusal.code, Code::MemoryBudget | Code::TooManySessions)
                     && !self.ending.is_empty() =>
             {
-                self.ending.drain(..).for_each(|handle| handle.join(&self.ground.meter));
+                self.ending.drain(..).for_each(SessionHandle::join);
                 self.desk.judge(header, payload, &self.usage())
             }
             _ => answer,
@@ -240,7 +263,7 @@ impl Host {
         match self.sessions.entry(session) {
             Entry::Occupied(entry) if entry.get().client().node == node => {
                 let handle = entry.remove();
-                handle.stop("closed");
+                handle.stop(self.scheduler.hall(), "closed");
                 self.ending.push(handle);
                 self.take_stock();
                 ControlReply::Done
@@ -267,17 +290,18 @@ impl Host {
     /// Closes the sessions of dead clients and removes what they left.
     fn sweep(&mut self, watch: &mut Watch) {
         let Some(census) = Census::take(&self.ground.node) else { return };
+        let hall = self.scheduler.hall();
         let over = self.sessions.extract_if(.., |id, handle| {
             let alive = census.has(handle.client().node);
             if !alive {
                 tracing::info!(session = id, pid = handle.client().pid, "client is gone");
-                handle.stop("reclaimed");
+                handle.stop(hall, "reclaimed");
             }
             !alive || handle.has_ended()
         });
         self.ending.extend(over.map(|(_, handle)| handle));
         let ended = self.ending.extract_if(.., |handle| handle.has_ended());
-        ended.for_each(|handle| handle.join(&self.ground.meter));
+        ended.for_each(SessionHandle::join);
         self.take_stock();
         if census.deaths {
             self.ground.node.try_cleanup_dead_nodes();
@@ -294,7 +318,8 @@ impl Host {
     /// answers control messages meanwhile. Sessions that take longer are left behind.
     fn drain(mut self, port: &ports::Port, bell: &ports::Bell, limit: Duration) {
         let start = Instant::now();
-        self.sessions.values().for_each(SessionHandle::finish);
+        let hall = Arc::clone(self.scheduler.hall());
+        self.sessions.values().for_each(|session| session.finish(&hall));
         while !self.sessions.values().chain(&self.ending).all(SessionHandle::has_ended) {
             if self.stop.is_urgent() || start.elapsed() > limit {
                 break;
@@ -304,12 +329,13 @@ impl Host {
         }
         for handle in self.sessions.into_values().chain(self.ending) {
             if handle.has_ended() {
-                handle.join(&self.ground.meter);
+                handle.join();
             } else {
                 tracing::warn!(session = handle.id(), "left behind: it has not answered yet");
-                handle.stop("shutdown");
+                handle.stop(&hall, "shutdown");
             }
         }
+        hall.close();
     }
 
     fn used(&self) -> Footprint {

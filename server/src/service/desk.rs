@@ -368,7 +368,7 @@ impl Desk {
     }
 }
 
-/// Most sessions at a time; each takes a thread and about ten file descriptors.
+/// Most sessions at a time; each takes a seat and about ten file descriptors.
 pub(super) const MAX_SESSIONS: usize = MAX_CLIENTS;
 
 /// Shared memory that must stay free, bytes: the bookkeeping of a few more clients.

@@ -1,4 +1,4 @@
-//! Sessions as the viewer sees them. Who watches leaves a window at a session's slot; the session's thread,
+//! Sessions as the viewer sees them. Who watches leaves a window at a session's slot; the session,
 //! which owns the environments, looks there after each message and puts into the window what is wanted.
 
 use std::collections::BTreeMap;
@@ -16,7 +16,7 @@ use crate::view::source::{About, Mark, Moment, Pace, SessionCard, Source, Window
 /// Least time between two moments of the present.
 const PERIOD: Duration = Duration::from_millis(33);
 
-/// A session's thread shows its present for one part in so many of its time, at most.
+/// A session shows its present for one part in so many of its time, at most.
 const SHARE: u32 = 100;
 
 /// Most steps that are kept until the next moment; of more, only the latest are.
@@ -84,7 +84,7 @@ impl Drop for Exhibit {
     }
 }
 
-/// Where windows are left for a session's thread.
+/// Where windows are left for a session.
 #[derive(Debug, Default)]
 pub(super) struct Slot {
     /// Whether there is any. All that a session that nobody watches looks at.
@@ -266,8 +266,9 @@ mod tests {
     use super::super::witness::{Tape, Witness};
     use super::*;
     use crate::service::batch::Deed;
+    use crate::service::hall::tests::House;
     use crate::service::rows::Rows;
-    use crate::service::scheduler::Scheduler;
+    use crate::service::scheduler::Turn;
     use crate::tasks::Registry;
 
     /// A session's environments and the slot at which they are watched.
@@ -275,7 +276,7 @@ mod tests {
         batch: Batch,
         layout: ReplyLayout,
         reply: Vec<u64>,
-        scheduler: Scheduler,
+        house: House,
         slot: Slot,
     }
 
@@ -285,15 +286,18 @@ mod tests {
             let batch = Batch::new(&Registry::builtin(), &request).unwrap();
             let layout = ReplyLayout::new(3, batch.spec());
             let reply = vec![0; layout.bytes / 8];
-            let scheduler = Scheduler::new(1).unwrap();
-            Self { batch, layout, reply, scheduler, slot: Slot::default() }
+            let house = House::new("gallery", 1);
+            Self { batch, layout, reply, house, slot: Slot::default() }
         }
 
         fn apply(&mut self, kind: u32, deed: Deed<'_>, env_ids: &[u32]) {
             let reply = bytemuck::cast_slice_mut(&mut self.reply);
             let rows = Rows::of(&self.layout, reply, env_ids.len());
             let witness = Witness { failures: None, tape: &Tape::default() };
-            self.batch.apply(deed, env_ids, false, witness, rows, &self.scheduler).unwrap();
+            let Self { batch, house: House { scheduler, .. }, .. } = self;
+            let apply =
+                |turn: &mut Turn<'_>| batch.apply(deed, env_ids, false, witness, rows, turn);
+            scheduler.alone(&scheduler.user(), apply).unwrap();
             self.slot.note(kind, env_ids, &self.layout, bytemuck::cast_slice(&self.reply));
             self.slot.show(&self.batch);
         }

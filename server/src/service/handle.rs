@@ -1,8 +1,9 @@
 //! A session as others see it: the control loop, which closes it and asks about it, and the viewer.
 
+use std::convert::Infallible;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::{Receiver, TryRecvError};
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
-use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 use hdrhistogram::Histogram;
@@ -12,7 +13,7 @@ use trocar_proto::{Code, Rejection};
 
 use super::desk::Footprint;
 use super::gallery::Slot;
-use super::meter::Meter;
+use super::hall::Hall;
 use super::store::Store;
 use super::witness::Tape;
 use crate::view::source::{SessionCard, Tally};
@@ -20,13 +21,16 @@ use crate::view::source::{SessionCard, Tally};
 /// A session as the control loop sees it.
 pub(super) struct SessionHandle {
     pub(super) shared: Arc<Shared>,
-    pub(super) thread: JoinHandle<()>,
+    /// Nothing is ever said there; it is closed when the session is gone.
+    pub(super) ended: Receiver<Infallible>,
     pub(super) footprint: Footprint,
 }
 
-/// What a session's thread has together with whoever asks about it.
+/// What a session has together with whoever asks about it.
 pub(super) struct Shared {
     pub(super) id: u64,
+    /// Where it is called.
+    pub(super) seat: u32,
     pub(super) client: ClientInfo,
     pub(super) task: String,
     pub(super) envs: u32,
@@ -162,26 +166,26 @@ impl SessionHandle {
     }
 
     /// Asks the session to end.
-    pub(super) fn stop(&self, reason: &'static str) {
+    pub(super) fn stop(&self, hall: &Arc<Hall>, reason: &'static str) {
         self.shared.reason.set(reason).ok();
         self.shared.stop.store(true, Ordering::Release);
+        hall.call(self.shared.seat);
     }
 
     /// Asks the session to end once it has answered what it was asked.
-    pub(super) fn finish(&self) {
+    pub(super) fn finish(&self, hall: &Arc<Hall>) {
         self.shared.reason.set("shutdown").ok();
         self.shared.finish.store(true, Ordering::Release);
+        hall.call(self.shared.seat);
     }
 
     pub(super) fn has_ended(&self) -> bool {
-        self.thread.is_finished()
+        self.ended.try_recv() == Err(TryRecvError::Disconnected)
     }
 
-    pub(super) fn join(self, meter: &Meter) {
-        if self.thread.join().is_err() {
-            meter.closed("failed");
-            tracing::error!(session = self.shared.id, "a session's thread panicked");
-        }
+    /// Waits until nothing is left of it.
+    pub(super) fn join(self) {
+        self.ended.recv().ok();
     }
 
     pub(super) fn status(&self) -> SessionStatus {

@@ -195,10 +195,12 @@ fn resident_memory() -> Option<i64> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::service::hall::tests::House;
 
     #[test]
     fn what_was_counted_is_told() {
-        let meter = Meter::new(Scheduler::new(2).unwrap(), 2, 1 << 30);
+        let house = House::new("meter", 2);
+        let meter = Meter::new(house.scheduler.clone(), 2, 1 << 30);
         meter.sessions.set(3);
         meter.closed("reclaimed");
         meter.refused(Code::MemoryBudget);

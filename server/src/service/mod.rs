@@ -8,7 +8,7 @@
 //! | `meter.rs`, `exporter.rs` | what is counted, and Prometheus, who asks for it |
 //! | `gallery.rs` | sessions as the viewer sees them |
 //! | `lease.rs` | who is alive: reclaims what dead clients leave |
-//! | `session.rs` | one thread per session: waits for requests, answers them |
+//! | `session.rs` | a session: answers its client's messages |
 //! | `handle.rs` | a session as others see it: the control loop, the viewer |
 //! | `batch.rs` | the environments of a session: reset, step, autoreset |
 //! | `ports.rs` | the ends of the transport: how services are made, what a reply is |
@@ -18,11 +18,12 @@
 //! | `cpus.rs` | which processors a server uses |
 //! | `scheduler.rs` | turns: which session's environments run on which threads |
 //! | `turns.rs`, `pile.rs` | who is next; work that is cut into bites |
-//! | `seat.rs` | where a session sleeps until its client rings |
+//! | `wakes.rs` | clients that got their replies, until they are woken up |
+//! | `hall.rs` | where sessions wait until their clients ring, and the threads that answer them |
 //!
-//! Every session has its own data service, thread and environments, so a slow session never holds
-//! up a fast one; the scheduler hands out turns of about two milliseconds, the next one to whoever has
-//! had the threads for the least time.
+//! Every session has its own data service and environments. Whichever thread is free answers the message of the
+//! session that is next; long ones are interrupted after turns of about two milliseconds, so a slow session never
+//! holds up a fast one. Next is whoever has had the threads for the least time.
 
 mod batch;
 mod control;
@@ -30,6 +31,7 @@ mod cpus;
 mod desk;
 mod exporter;
 mod gallery;
+mod hall;
 mod handle;
 mod lease;
 mod meter;
@@ -37,10 +39,10 @@ mod pile;
 mod ports;
 mod rows;
 mod scheduler;
-mod seat;
 mod session;
 mod store;
 mod turns;
+mod wakes;
 mod witness;
 
 use std::io;

@@ -1,8 +1,6 @@
 //! Work that is cut into bites: what a turn's threads take from until it is done.
 
-use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Mutex, MutexGuard, PoisonError};
-use std::time::Duration;
 
 /// How many long pieces are looked for in work that has some.
 pub(super) const MOST_LONG: usize = 16;
@@ -28,14 +26,12 @@ pub(super) struct Pile<W, const LONG: usize> {
     rest: Mutex<Rest<W, LONG>>,
     /// How many pieces are taken at once, at most.
     bite: usize,
-    /// CPU time of all threads together, ns.
-    computed: AtomicU64,
 }
 
 impl<W: Divisible, const LONG: usize> Pile<W, LONG> {
     /// A pile of `work`, from which at most `bite` pieces are taken at once.
     pub(super) fn new(work: W, bite: usize) -> Self {
-        Self { rest: Mutex::new(Rest::new(work)), bite, computed: AtomicU64::new(0) }
+        Self { rest: Mutex::new(Rest::new(work)), bite }
     }
 
     /// How many pieces nobody has taken yet.
@@ -51,16 +47,6 @@ impl<W: Divisible, const LONG: usize> Pile<W, LONG> {
     /// The next bite, if there is one. The lock is not held while it is worked on.
     pub(super) fn take(&self) -> Option<W> {
         self.lock().take(self.bite)
-    }
-
-    /// Takes note of CPU time that a thread spent on it, ns.
-    pub(super) fn charge(&self, computed: u64) {
-        self.computed.fetch_add(computed, Ordering::Relaxed);
-    }
-
-    /// The CPU time that it took until now.
-    pub(super) fn computed(&self) -> Duration {
-        Duration::from_nanos(self.computed.load(Ordering::Relaxed))
     }
 
     fn lock(&self) -> MutexGuard<'_, Rest<W, LONG>> {

@@ -1,7 +1,5 @@
 //! The server's ends of the transport: how its services are made, and what a reply is.
 
-use std::sync::Arc;
-
 use iceoryx2::active_request::ActiveRequest;
 use iceoryx2::port::LoanError;
 use iceoryx2::port::listener::Listener;
@@ -108,7 +106,7 @@ pub(super) fn reply(request: &Request, reply: &ControlReply) {
 /// Where the requests of one session arrive, and what tells its client of replies.
 pub(super) struct DataPorts {
     pub(super) port: Port,
-    pub(super) bells: Arc<Bells>,
+    pub(super) bells: Bells,
 }
 
 impl DataPorts {
@@ -147,7 +145,7 @@ impl DataPorts {
             .max_loaned_responses_per_request(1)
             .create()
             .map_err(internal("data port"))?;
-        Ok(Self { port, bells: Arc::new(bells) })
+        Ok(Self { port, bells })
     }
 }
 

@@ -1,15 +1,17 @@
-//! One thread per session: waits for requests, answers them.
+//! A session: answers its client's messages, one when it is its turn.
 
 use std::collections::BTreeMap;
+use std::convert::Infallible;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::{Sender, channel};
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 use std::time::{Duration, Instant};
 
 use trocar_proto::control::{
     self, Autoreset, ClientInfo, ControlReply, SessionInfo, SessionRequest,
 };
+use trocar_proto::door::Size;
 use trocar_proto::endpoint::{Endpoint, Node};
-use trocar_proto::vigil::Vigil;
 use trocar_proto::wire::{
     Header, MAX_IN_FLIGHT, PictureLayout, ReplyLayout, RequestLayout, flag, kind,
 };
@@ -17,21 +19,21 @@ use trocar_proto::{Code, Rejection};
 
 use super::batch::{self, Batch, Deed};
 use super::desk::{self, Footprint};
-use super::gallery::{Gallery, Slot};
+use super::gallery::{Exhibit, Gallery, Slot};
+use super::hall::{Attended, Guest, Outlook, Seat};
 use super::handle::{Nature, Pace, SessionHandle, Shared};
 use super::internal;
 use super::meter::{Meter, TaskMeter};
 use super::ports::{self, DataPorts, Request};
 use super::rows::Rows;
-use super::scheduler::Scheduler;
-use super::seat::Seat;
+use super::scheduler::{Scheduler, Turn, need};
 use super::store::{Ledger, Saved, Store};
 use super::witness::{Failures, Tape, Witness};
 use crate::env::{Env, Imaging, Rebuild};
 use crate::tasks::Registry;
 
-/// How long an idle session sleeps before it looks whether it should end.
-const SLICE: Duration = Duration::from_millis(100);
+/// What is left of the peak of what messages took after one that took less: a third after 70.
+const FADING: f64 = 0.984;
 
 /// What all sessions of a server share.
 pub(super) struct Ground {
@@ -63,12 +65,11 @@ pub(super) fn note_refusal(meter: &Meter, pid: u32, refusal: &Rejection) {
     tracing::info!(pid, ?code, field, value, allowed, "session refused");
 }
 
-/// Opens a session on a thread of its own, which answers `request` when all is in place, or says
-/// why not.
+/// Opens a session at `seat`, on a thread of its own, which answers `request` when all is in place, or says why not.
 pub(super) fn open(
     ground: Arc<Ground>,
     account: Account,
-    id: u64,
+    (id, seat): (u64, Seat),
     wanted: SessionRequest,
     client: ClientInfo,
     footprint: Footprint,
@@ -76,6 +77,7 @@ pub(super) fn open(
 ) -> Option<SessionHandle> {
     let shared = Arc::new(Shared {
         id,
+        seat: seat.number,
         client,
         task: wanted.task.clone(),
         envs: wanted.envs,
@@ -89,18 +91,22 @@ pub(super) fn open(
         slot: Slot::default(),
     });
     let meter = Arc::clone(&ground.meter);
+    let (life, ended) = channel();
     // If the thread cannot be started, the request goes back with it and the client is told.
     let parcel = Arc::new(Mutex::new(Some((wanted, request))));
     let (inner, in_thread) = (Arc::clone(&shared), Arc::clone(&parcel));
     let pid = shared.client.pid;
-    let thread = std::thread::Builder::new().name(format!("trocar-{id}")).spawn(move || {
+    let thread = std::thread::Builder::new().name(format!("trocar-open-{id}")).spawn(move || {
         let parcel = in_thread.lock().unwrap_or_else(PoisonError::into_inner).take();
         let Some((wanted, request)) = parcel else { return };
-        match Session::open(Arc::clone(&ground), account, inner, &wanted) {
-            Ok((session, info)) => {
+        let hall = Arc::clone(account.scheduler.hall());
+        let user = account.scheduler.user();
+        match Session::open(Arc::clone(&ground), account, inner, &wanted, seat, life) {
+            Ok((mut session, info)) => {
                 ports::reply(&request, &ControlReply::Opened(info));
                 drop(request);
-                session.run();
+                let outlook = session.outlook(Duration::ZERO);
+                hall.admit(session.seat.number, user, outlook, Box::new(session));
             }
             Err(refusal) => {
                 note_refusal(&ground.meter, pid, &refusal);
@@ -109,7 +115,7 @@ pub(super) fn open(
         }
     });
     match thread {
-        Ok(thread) => Some(SessionHandle { shared, thread, footprint }),
+        Ok(_) => Some(SessionHandle { shared, ended, footprint }),
         Err(error) => {
             let refusal = internal("thread")(error);
             note_refusal(&meter, pid, &refusal);
@@ -122,11 +128,10 @@ pub(super) fn open(
     }
 }
 
-/// The thread's side of a session.
+/// The server's side of a session.
 struct Session {
     ground: Arc<Ground>,
     shared: Arc<Shared>,
-    scheduler: Scheduler,
     meter: TaskMeter,
     batch: Batch,
     /// Whether the step after an episode's end resets instead of stepping.
@@ -136,8 +141,27 @@ struct Session {
     /// How its environments are drawn when that is asked for.
     view: Option<(Imaging, PictureLayout)>,
     ports: DataPorts,
-    seat: Seat,
     inbox: Inbox,
+    course: Course,
+    // Dropped last, in this order: from then on its seat is free, and nothing is left of it.
+    _exhibit: Exhibit,
+    seat: Seat,
+    _life: Sender<Infallible>,
+}
+
+/// How a session has gone so far.
+struct Course {
+    opened: Instant,
+    /// When its client last sent something.
+    active: Instant,
+    /// Steps that environments took.
+    steps: u64,
+    /// Requests that a client may still have in flight when its server was told to end.
+    left: usize,
+    /// The latest message stepped environments.
+    stepped: bool,
+    /// What messages took at most, CPU time; less and less for what is long ago.
+    peak: Duration,
 }
 
 /// A request's arrays, copied out of shared memory before anything looks at them, since whoever
@@ -155,12 +179,14 @@ impl Session {
         account: Account,
         shared: Arc<Shared>,
         wanted: &SessionRequest,
+        seat: Seat,
+        life: Sender<Infallible>,
     ) -> Result<(Self, SessionInfo), Rejection> {
         let batch = Batch::new(&ground.registry, wanted)?;
         let spec = batch.spec();
-        let (envs, action_dim) = (wanted.envs as usize, spec.action_dim());
-        let request_layout = RequestLayout::new(envs, spec);
-        let reply_layout = ReplyLayout::new(envs, spec);
+        let (envs_count, action_dim) = (wanted.envs as usize, spec.action_dim());
+        let request_layout = RequestLayout::new(envs_count, spec);
+        let reply_layout = ReplyLayout::new(envs_count, spec);
         let (epoch, id) = (ground.epoch, shared.id);
         let view = wanted.view.as_ref();
         let view = view.map(|view| ground.registry.view(&wanted.task, &wanted.options, view));
@@ -171,6 +197,7 @@ impl Session {
         let info = SessionInfo {
             session: id,
             epoch,
+            seat: seat.number,
             envs: wanted.envs,
             spec: (**spec).clone(),
             view: view.as_ref().map(|(imaging, _)| Box::new(imaging.spec().clone())),
@@ -189,89 +216,64 @@ impl Session {
             return Err(Rejection::new(Code::UnknownSession, "session", id, why));
         }
         let ports = DataPorts::open(&ground.node, &ground.endpoint, epoch, id, most)?;
-        let scheduler = account.scheduler.separate();
+        let Shared { task, envs, client, .. } = &*shared;
+        let (pid, language) = (client.pid, client.language.as_str());
+        tracing::info!(session = id, pid, language, task, envs, "session opened");
+        ground.meter.opened();
         let session = Self {
-            seat: Seat::new(scheduler.clone(), Arc::clone(&ports.bells)),
             ports,
             inbox: Inbox {
-                env_ids: vec![0; envs],
-                actions: vec![0.0; envs * action_dim],
-                numbers: vec![0; envs],
+                env_ids: vec![0; envs_count],
+                actions: vec![0.0; envs_count * action_dim],
+                numbers: vec![0; envs_count],
+            },
+            course: Course {
+                opened: Instant::now(),
+                active: Instant::now(),
+                steps: 0,
+                left: MAX_IN_FLIGHT,
+                stepped: false,
+                peak: Duration::ZERO,
             },
             meter: ground.meter.task(&shared.task),
-            scheduler,
             next_step: wanted.autoreset == Autoreset::NextStep,
-            ground,
-            shared,
             batch,
             request_layout,
             reply_layout,
             view,
+            _exhibit: ground.gallery.exhibit(id, Arc::clone(&shared)),
+            ground,
+            shared,
+            seat,
+            _life: life,
         };
         Ok((session, info))
     }
 
-    fn run(mut self) {
-        let Shared { id, task, envs, client, .. } = &*Arc::clone(&self.shared);
-        let (id, pid, opened) = (*id, client.pid, Instant::now());
-        let language = client.language.as_str();
-        tracing::info!(session = id, pid, language, task, envs, "session opened");
-        self.ground.meter.opened();
-        let exhibit = self.ground.gallery.exhibit(id, Arc::clone(&self.shared));
-        let steps = self.answer_all();
-        drop(exhibit);
-        let reason = self.shared.reason.get().copied().unwrap_or("idle");
+    /// Takes note that it ends.
+    fn end(&self) {
+        let Shared { id, task, envs, client, reason, .. } = &*self.shared;
+        let Course { opened, steps, .. } = self.course;
+        let reason = reason.get().copied().unwrap_or("idle");
         self.ground.meter.closed(reason);
-        let seconds = opened.elapsed().as_secs_f64();
-        tracing::info!(session = id, pid, task, envs, reason, steps, seconds, "session closed");
+        let (session, pid, seconds) = (id, client.pid, opened.elapsed().as_secs_f64());
+        tracing::info!(session, pid, task, envs, reason, steps, seconds, "session closed");
     }
 
-    /// Answers requests until the session ends; returns how many steps environments took.
-    fn answer_all(&mut self) -> u64 {
-        let mut active = Instant::now();
-        let mut total = 0;
-        let mut vigil = Vigil::new();
-        // Requests that a client may have had in flight when its server was told to end.
-        let mut left = MAX_IN_FLIGHT;
-        while !self.shared.stop.load(Ordering::Acquire) && left > 0 {
-            // Asked before a request is looked for: what arrived by then is answered.
-            let finish = self.shared.finish.load(Ordering::Acquire);
-            let seen = self.ports.bells.request().count();
-            match self.ports.port.receive() {
-                Ok(Some(request)) => {
-                    vigil.end();
-                    let start = Instant::now();
-                    let (steps, slept) = self.answer(&request);
-                    self.note(start, steps);
-                    total += steps;
-                    active = Instant::now();
-                    left -= usize::from(finish);
-                    self.seat.decline();
-                    vigil.begin(slept);
-                }
-                Ok(None) if finish => break,
-                Ok(None) if !self.scheduler.is_busy() && vigil.keep() => {}
-                Ok(None) => {
-                    if active.elapsed() > self.ground.idle_limit {
-                        break;
-                    }
-                    if self.shared.slot.is_watched() {
-                        self.shared.slot.show(&self.batch);
-                    }
-                    self.seat.sleep(seen, self.batch.cost(), SLICE);
-                }
-                Err(error) => {
-                    let session = self.shared.id;
-                    tracing::warn!(session, ?error, "a request was not received");
-                    self.ports.bells.request().sleep(seen, SLICE);
-                }
-            }
+    /// Where there is no request.
+    fn rest(&mut self, finish: bool) -> Attended {
+        if finish || self.course.active.elapsed() > self.ground.idle_limit {
+            self.end();
+            return Attended::Over;
         }
-        total
+        if self.shared.slot.is_watched() {
+            self.shared.slot.show(&self.batch);
+        }
+        Attended::Nothing
     }
 
     /// Answers one request; returns how many steps environments took, and whether the client had to be woken up.
-    fn answer(&mut self, request: &Request) -> (u64, bool) {
+    fn answer(&mut self, request: &Request, turn: &mut Turn<'_>) -> (u64, bool) {
         let start = Instant::now();
         let asked = *request.user_header();
         let room = match &self.view {
@@ -289,7 +291,8 @@ impl Session {
             Header { session: self.shared.id, epoch: self.ground.epoch, ..Header::new(asked.kind) };
         header.request = asked.request;
         header.flags = asked.flags;
-        let result = self.carry_out(&asked, request.payload(), response.payload_mut());
+        self.course.stepped = false;
+        let result = self.carry_out(&asked, request.payload(), response.payload_mut(), turn);
         let watched = self.shared.slot.is_watched();
         let steps = match result {
             Ok(()) => {
@@ -314,8 +317,12 @@ impl Session {
             tracing::debug!(session = self.shared.id, ?error, "a reply was not delivered");
         }
         let slept = self.ports.bells.reply().ring();
-        // Its client goes on meanwhile.
+        if slept {
+            turn.wake(self.seat.number);
+        }
         if watched {
+            // Its client goes on meanwhile.
+            turn.rouse();
             self.shared.slot.show(&self.batch);
         }
         (steps, slept)
@@ -364,6 +371,7 @@ impl Session {
         asked: &Header,
         payload: &[u8],
         reply: &mut [u8],
+        turn: &mut Turn<'_>,
     ) -> Result<(), Rejection> {
         desk::check_header(asked)?;
         let malformed = |field: &str, value: u64, allowed: String| {
@@ -396,7 +404,6 @@ impl Session {
         let numbers = &numbers[..rows];
         env_ids[..rows].copy_from_slice(layout.env_ids.view(payload, rows));
         let env_ids = &env_ids[..rows];
-        let scheduler = &self.scheduler;
         if asked.kind == kind::RENDER {
             let Some((imaging, layout)) = &self.view else {
                 let why = "the session was opened without a view; open it with one";
@@ -404,10 +411,10 @@ impl Session {
             };
             return if asked.flags & flag::DEPTH == 0 {
                 let rgb = layout.rgb.view_mut(reply, 1);
-                self.batch.draw(env_ids, imaging, rgb, &mut [], scheduler)
+                self.batch.draw(env_ids, imaging, rgb, &mut [], turn)
             } else {
                 let depth = layout.depth.view_mut(reply, 1);
-                self.batch.draw(env_ids, imaging, &mut [], depth, scheduler)
+                self.batch.draw(env_ids, imaging, &mut [], depth, turn)
             };
         }
         let mut out = Rows::of(&self.reply_layout, reply, rows);
@@ -421,7 +428,7 @@ impl Session {
             kind::RESET => Deed::Reset(numbered.then_some(numbers)),
             kind::SNAPSHOT => {
                 let mut room = self.shared.with_store(|store| store.make_room(rows))?;
-                let copies = self.batch.copies(env_ids, scheduler)?;
+                let copies = self.batch.copies(env_ids, turn)?;
                 self.shared.with_store(|store| {
                     for (row, copy) in copies.into_iter().enumerate() {
                         out.snapshot.row(row)[0] = store.put(&mut room, Saved::State(copy));
@@ -431,11 +438,11 @@ impl Session {
                 return Ok(());
             }
             kind::RESTORE => {
-                states = saved(&self.shared, &self.batch, numbers, scheduler)?;
+                states = saved(&self.shared, &self.batch, numbers, turn)?;
                 Deed::Restore(&states)
             }
             kind::FORK => {
-                states = self.batch.sources(numbers, scheduler)?;
+                states = self.batch.sources(numbers, turn)?;
                 Deed::Restore(&states)
             }
             other => {
@@ -447,11 +454,59 @@ impl Session {
         let want_expert = asked.flags & flag::WANT_EXPERT != 0;
         let failures = self.ground.failures.as_ref();
         let witness = Witness { failures, tape: &self.shared.tape };
-        self.batch.apply(deed, env_ids, want_expert, witness, out, scheduler)
+        self.course.stepped = true;
+        self.batch.apply(deed, env_ids, want_expert, witness, out, turn)
     }
 
     fn note(&self, start: Instant, steps: u64) {
         self.shared.pace.lock().unwrap_or_else(PoisonError::into_inner).note(start, steps);
+    }
+}
+
+impl Guest for Session {
+    fn attend(&mut self, turn: &mut Turn<'_>) -> Attended {
+        if self.shared.stop.load(Ordering::Acquire) || self.course.left == 0 {
+            self.end();
+            return Attended::Over;
+        }
+        // Asked before a request is looked for: what arrived by then is answered.
+        let finish = self.shared.finish.load(Ordering::Acquire);
+        match self.ports.port.receive() {
+            Ok(Some(request)) => {
+                let start = Instant::now();
+                let (steps, slept) = self.answer(&request, turn);
+                self.note(start, steps);
+                self.course.steps += steps;
+                self.course.active = Instant::now();
+                self.course.left -= usize::from(finish);
+                let more = finish || self.ports.port.has_requests().unwrap_or(true);
+                Attended::Answered { slept, more }
+            }
+            Ok(None) => self.rest(finish),
+            Err(error) => {
+                let session = self.shared.id;
+                tracing::warn!(session, ?error, "a request was not received");
+                self.rest(finish)
+            }
+        }
+    }
+
+    fn outlook(&mut self, computed: Duration) -> Outlook {
+        if std::mem::take(&mut self.course.stepped) {
+            self.batch.learn(computed);
+        }
+        let peak = self.course.peak;
+        self.course.peak = computed.max(peak.mul_f64(FADING));
+        let cost = self.batch.cost();
+        let need = need(cost, self.course.peak);
+        let size = if need.is_small() { Size::Small } else { Size::Large };
+        self.ports.bells.set_size(size);
+        Outlook { need, cost }
+    }
+
+    fn failed(&mut self) {
+        self.ground.meter.closed("failed");
+        tracing::error!(session = self.shared.id, "answering a session panicked; it is closed");
     }
 }
 
@@ -460,7 +515,7 @@ fn saved(
     shared: &Shared,
     batch: &Batch,
     numbers: &[u64],
-    scheduler: &Scheduler,
+    turn: &mut Turn<'_>,
 ) -> Result<Vec<Arc<Env>>, Rejection> {
     let found: Vec<Saved> =
         shared.with_store(|store| numbers.iter().map(|number| store.get(*number)).collect())?;
@@ -472,7 +527,7 @@ fn saved(
     }
     let rebuilds = recipes.values().map(|recipe| Rebuild::new(batch.like(), (**recipe).clone()));
     let go_on = || !shared.stop.load(Ordering::Acquire);
-    let Some(rebuilt) = batch::rebuild(rebuilds.collect(), scheduler, go_on) else {
+    let Some(rebuilt) = batch::rebuild(rebuilds.collect(), turn, go_on) else {
         let why = "the session is being closed";
         return Err(Rejection::new(Code::UnknownSession, "session", shared.id, why));
     };

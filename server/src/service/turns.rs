@@ -4,29 +4,42 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering};
 use std::thread::Thread;
 
-use trocar_proto::bell::Bells;
-
 /// How many threads there are, who has them and who wants one.
 #[derive(Debug)]
 pub(super) struct Turns {
     count: usize,
     pub(super) free: usize,
-    /// Threads that those have who needed more than little.
-    pub(super) long: usize,
+    /// Threads that those have who need so much.
+    pub(super) little: usize,
+    varied: usize,
+    much: usize,
     /// Somebody has gone ahead.
     pub(super) ahead: bool,
-    /// In order of arrival.
+    /// Who is next comes last.
     pub(super) waiting: Vec<Waiting>,
+    /// How many have ever waited.
+    arrivals: u64,
     /// What the one who had the latest turn had spent before it, ns.
     pub(super) clock: u64,
+    /// How many turns have begun.
+    pub(super) begun: u64,
 }
 
-/// Threads that somebody has.
+/// What somebody is expected to need a thread for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub(super) enum Need {
+    /// Little work, always.
+    Little,
+    /// Little work, but now and then more.
+    Varied,
+    /// More than that.
+    Much,
+}
+
+/// A thread that somebody has.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct Grant {
-    pub(super) threads: usize,
-    /// They are for little work.
-    pub(super) little: bool,
+    pub(super) need: Need,
     /// It is one more than there are.
     pub(super) ahead: bool,
 }
@@ -34,13 +47,9 @@ pub(super) struct Grant {
 /// Somebody who takes turns.
 #[derive(Debug)]
 pub(super) struct User {
-    pub(super) share: Arc<Share>,
+    share: Arc<Share>,
     /// CPU time, on the clock of [`Turns`], ns.
     pub(super) spent: AtomicU64,
-    /// It was woken up with a thread and did not take it up yet. Written under the lock of [`Turns`].
-    granted: AtomicBool,
-    /// It is expected to need little for the next message. Written under the same lock.
-    little: AtomicBool,
 }
 
 /// How many threads somebody may have, and has. Read and written under the lock of [`Turns`].
@@ -50,57 +59,44 @@ pub(super) struct Share {
     taken: AtomicUsize,
 }
 
-/// Somebody who waits for a turn, or for a message that asks for one.
+/// Somebody who waits for a turn.
 #[derive(Debug)]
 pub(super) struct Waiting {
+    /// What it has spent, and how many have ever waited before it: who has less of both is next.
+    rank: (u64, u64),
     user: Arc<User>,
-    place: Place,
-    /// It needs little.
-    little: bool,
+    pub(super) who: Who,
+    pub(super) need: Need,
 }
 
-/// Where somebody waits.
 #[derive(Debug)]
-enum Place {
-    /// In the queue.
-    Queue(Arc<Waiter>),
-    /// At a session's bell, which was rung `seen` times up to here. Who rings does not wake it up.
-    Bell { bells: Arc<Bells>, seen: u32 },
+pub(super) enum Who {
+    /// A worker that is in the middle of a message.
+    Worker(Arc<Waiter>),
+    /// The session at this seat, whose client has rung.
+    Guest(u32),
 }
 
-/// Somebody who has got a thread and does not know it yet.
-pub(super) struct Called(Place);
-
-impl Called {
-    pub(super) fn wake(self) {
-        match self.0 {
-            Place::Queue(waiter) => waiter.thread.unpark(),
-            Place::Bell { bells, .. } => bells.request().wake(),
-        }
-    }
-}
-
-/// A thread that waits in the queue.
+/// A thread that waits for its turn.
 #[derive(Debug)]
 pub(super) struct Waiter {
     pub(super) thread: Thread,
     pub(super) called: AtomicBool,
+    /// The thread that it was called with is one more than there are.
+    pub(super) ahead: AtomicBool,
+}
+
+impl Need {
+    /// Whether it may go ahead of those who need more.
+    pub(super) fn is_small(self) -> bool {
+        self < Self::Much
+    }
 }
 
 impl User {
     /// Somebody who has had no turn yet.
     pub(super) fn new(share: Arc<Share>) -> Arc<Self> {
-        Arc::new(Self {
-            share,
-            spent: AtomicU64::new(0),
-            granted: AtomicBool::new(false),
-            little: AtomicBool::new(false),
-        })
-    }
-
-    /// Whether a thread waits for it.
-    pub(super) fn is_granted(&self) -> bool {
-        self.granted.load(Ordering::Relaxed)
+        Arc::new(Self { share, spent: AtomicU64::new(0) })
     }
 }
 
@@ -114,30 +110,36 @@ impl Share {
     }
 }
 
+impl Waiter {
+    /// The thread that calls.
+    pub(super) fn here() -> Arc<Self> {
+        let called = AtomicBool::new(false);
+        Arc::new(Self { thread: std::thread::current(), called, ahead: AtomicBool::new(false) })
+    }
+}
+
 impl Waiting {
-    /// Whether it has something to do by now.
-    fn asks(&self) -> bool {
-        match &self.place {
-            Place::Queue(_) => true,
-            Place::Bell { bells, seen } => bells.request().count() != *seen,
-        }
-    }
-
-    /// What it has spent. Who arrives now, at this `clock`, has saved nothing up.
-    fn spent(&self, clock: u64) -> u64 {
-        let spent = self.user.spent.load(Ordering::Relaxed);
-        if matches!(self.place, Place::Bell { .. }) { spent.max(clock) } else { spent }
-    }
-
-    fn is(&self, waiter: &Arc<Waiter>) -> bool {
-        matches!(&self.place, Place::Queue(this) if Arc::ptr_eq(this, waiter))
+    /// Whether it may have one thread more.
+    fn may_run(&self) -> bool {
+        self.user.share.left() > 0
     }
 }
 
 impl Turns {
     /// `count` threads, all of them free.
     pub(super) fn new(count: usize) -> Self {
-        Self { count, free: count, long: 0, ahead: false, waiting: vec![], clock: 0 }
+        Self {
+            count,
+            free: count,
+            little: 0,
+            varied: 0,
+            much: 0,
+            ahead: false,
+            waiting: vec![],
+            arrivals: 0,
+            clock: 0,
+            begun: 0,
+        }
     }
 
     /// Whether every thread is taken.
@@ -145,98 +147,60 @@ impl Turns {
         self.free == 0
     }
 
-    /// Whether every thread has somebody who needs more than little.
-    fn is_long(&self) -> bool {
-        self.long == self.count
+    /// Puts somebody into the queue. Who arrives now has saved nothing up.
+    pub(super) fn queue(&mut self, user: &Arc<User>, who: Who, need: Need) {
+        let spent = user.spent.fetch_max(self.clock, Ordering::Relaxed).max(self.clock);
+        let rank = (spent, self.arrivals);
+        self.arrivals += 1;
+        let place = self.waiting.partition_point(|other| other.rank > rank);
+        self.waiting.insert(place, Waiting { rank, user: Arc::clone(user), who, need });
     }
 
-    /// Up to `most` threads that are free, if there are any that `user` may have.
-    pub(super) fn take(&mut self, user: &User, most: usize, little: bool) -> Option<Grant> {
-        self.withdraw(user);
-        // Whoever waits while threads are free has taken all of its share.
-        let threads = self.free.min(most).min(user.share.left());
-        let grant = Grant { threads, little, ahead: false };
-        (threads > 0).then(|| {
-            self.free -= threads;
-            self.note(user, grant);
-            self.rouse();
-            grant
-        })
+    /// Whose turn begins now, if anybody's does: the next one's, where there is a thread, or where it needs little
+    /// and all threads have somebody who needs more. `overdue` says that no turn has begun for so long that this is
+    /// no reason to wait any more.
+    pub(super) fn due(&self, overdue: bool) -> Option<&Waiting> {
+        let next = &self.waiting[self.next()?];
+        let goes_ahead = || !self.ahead && next.need.is_small() && (self.is_much() || overdue);
+        (!self.is_busy() || goes_ahead()).then_some(next)
     }
 
-    /// Puts `user` into the queue. True where it goes ahead at once.
-    pub(super) fn queue(&mut self, user: &Arc<User>, waiter: &Arc<Waiter>, little: bool) -> bool {
-        user.spent.fetch_max(self.clock, Ordering::Relaxed);
-        let place = Place::Queue(Arc::clone(waiter));
-        self.waiting.push(Waiting { user: Arc::clone(user), place, little });
-        // Who needs more than little may keep its thread for longer than patience lasts. A client of
-        // NeedleReach beside seven of BiPegTransfer has a p99 of 8.2 ms so, of 11.3 ms where it is patient
-        // (ten alternating pairs).
-        little && self.is_long() && self.go_ahead(waiter)
-    }
-
-    /// Lets `waiter` have a thread more than there are, where it is next and nobody else has done so.
-    pub(super) fn go_ahead(&mut self, waiter: &Arc<Waiter>) -> bool {
-        let next = self.next().filter(|next| self.waiting[*next].is(waiter));
-        let Some(next) = next.filter(|_| !self.ahead) else { return false };
-        self.call(next);
-        self.ahead = true;
-        true
-    }
-
-    /// How many have their turn before `waiter`, of those who may run; 0 if it does not wait.
-    pub(super) fn before(&self, waiter: &Arc<Waiter>) -> usize {
-        let index = self.waiting.iter().position(|each| each.is(waiter));
-        let Some(index) = index else { return 0 };
-        let mine = (self.waiting[index].spent(self.clock), index);
-        self.candidates().filter(|other| *other < mine).count()
-    }
-
-    /// Lets `user` sleep at its bell, where nobody who rings has to wake it up: whoever ends a turn looks
-    /// there. False where there are free threads, so that a ring has to.
-    pub(super) fn rest(
-        &mut self,
-        user: &Arc<User>,
-        bells: &Arc<Bells>,
-        seen: u32,
-        little: bool,
-    ) -> bool {
-        if !self.is_busy() {
-            return false;
+    /// Begins the turn of who is next. Only where it is due.
+    pub(super) fn begin(&mut self) -> Option<(Waiting, Grant)> {
+        let waiting = self.next().map(|next| self.waiting.remove(next))?;
+        let ahead = self.is_busy();
+        if ahead {
+            self.ahead = true;
+        } else {
+            self.free -= 1;
         }
-        user.little.store(little, Ordering::Relaxed);
-        let place = Place::Bell { bells: Arc::clone(bells), seen };
-        self.waiting.push(Waiting { user: Arc::clone(user), place, little });
-        self.rouse();
-        true
+        self.note(&waiting.user, waiting.need, 1);
+        let grant = Grant { need: waiting.need, ahead };
+        Some((waiting, grant))
     }
 
-    /// `user`, who slept at its bell, is awake.
-    pub(super) fn rise(&mut self, user: &Arc<User>) {
-        self.waiting.retain(|each| !Arc::ptr_eq(&each.user, user));
-    }
-
-    /// Gives back the thread with which `user` was woken up, if it did not take it up.
-    pub(super) fn withdraw(&mut self, user: &User) {
-        if user.granted.swap(false, Ordering::Relaxed) {
-            user.share.taken.fetch_sub(1, Ordering::Relaxed);
-            self.long -= usize::from(!user.little.load(Ordering::Relaxed));
-            self.free += 1;
-        }
+    /// Up to `most` threads more for `user`, of those that nobody waits for.
+    pub(super) fn take_more(&mut self, user: &User, most: usize, need: Need) -> usize {
+        let unclaimed =
+            self.free.saturating_sub(self.waiting.iter().filter(|each| each.may_run()).count());
+        let threads = unclaimed.min(most).min(user.share.left());
+        self.free -= threads;
+        self.note(user, need, threads);
+        threads
     }
 
     /// Gives back what `user` got.
     pub(super) fn give_back(&mut self, user: &User, grant: Grant) {
-        user.share.taken.fetch_sub(grant.threads, Ordering::Relaxed);
-        self.long -= if grant.little { 0 } else { grant.threads };
+        user.share.taken.fetch_sub(1, Ordering::Relaxed);
+        *self.count_of(grant.need) -= 1;
         if grant.ahead {
             self.ahead = false;
         } else {
-            self.free += grant.threads;
+            self.free += 1;
         }
     }
 
-    /// Whether `user`, whose turn is over, may keep its threads: nobody waits who could have them, and none
+    /// Whether `user`, whose turn is over, may keep its thread: nobody waits who could have it, and none
     /// are free that could help.
     pub(super) fn renew(&mut self, user: &User, grant: Grant) -> bool {
         let all_in_use = self.free.min(user.share.left()) == 0;
@@ -247,69 +211,40 @@ impl Turns {
         goes_on
     }
 
-    /// Gives a free thread to who is next, if there is one: wake it up with the lock released.
-    pub(super) fn pass_on(&mut self) -> Option<Called> {
-        let next = if self.is_busy() { None } else { self.next() };
-        let called = next.map(|next| {
-            self.free -= 1;
-            let Waiting { user, place, .. } = self.call(next);
-            match &place {
-                Place::Queue(waiter) => waiter.called.store(true, Ordering::Release),
-                Place::Bell { .. } => user.granted.store(true, Ordering::Relaxed),
-            }
-            Called(place)
-        });
-        self.rouse();
-        called
+    /// Whether a message that asks for little is worth waking somebody up for, although all threads are taken.
+    pub(super) fn may_go_ahead(&self) -> bool {
+        self.is_busy() && !self.ahead && self.varied + self.much > 0
     }
 
-    /// From now on a ring wakes up those at their bells who need not wait for the end of a turn: all where
-    /// threads are free, else who would go ahead.
-    fn rouse(&mut self) {
-        let idle = !self.is_busy();
-        if !(idle || self.is_long() && !self.ahead) {
-            return;
-        }
-        let least = self.candidates().min().map_or(u64::MAX, |(spent, _)| spent);
-        let clock = self.clock;
-        self.waiting.retain(|each| match &each.place {
-            Place::Bell { bells, .. } if idle || (each.little && each.spent(clock) <= least) => {
-                bells.request().arm();
-                if each.asks() {
-                    // It was rung before who rings could know that.
-                    bells.request().wake();
-                }
-                false
-            }
-            _ => true,
-        });
+    /// Whether somebody who needs little is next, and may go ahead if this lasts.
+    pub(super) fn is_tried(&self) -> bool {
+        self.may_go_ahead() && self.next().is_some_and(|next| self.waiting[next].need.is_small())
+    }
+
+    /// Whether every thread has somebody who needs more than little.
+    fn is_much(&self) -> bool {
+        self.much >= self.count
     }
 
     /// Whose turn is next: who had the threads for the least time, of those who may have one more.
     fn next(&self) -> Option<usize> {
-        self.candidates().min().map(|(_, next)| next)
-    }
-
-    /// Those who wait and may have a thread: what each has spent, and which one it is.
-    fn candidates(&self) -> impl Iterator<Item = (u64, usize)> {
-        let waiting = self.waiting.iter().enumerate();
-        let may_run = waiting.filter(|(_, each)| each.user.share.left() > 0 && each.asks());
-        may_run.map(|(index, each)| (each.spent(self.clock), index))
-    }
-
-    /// Lets one of those who wait have a thread.
-    fn call(&mut self, next: usize) -> Waiting {
-        let waiting = self.waiting.remove(next);
-        let grant = Grant { threads: 1, little: waiting.little, ahead: false };
-        self.note(&waiting.user, grant);
-        waiting
+        self.waiting.iter().rposition(Waiting::may_run)
     }
 
     /// Takes note of what `user` got.
-    fn note(&mut self, user: &User, grant: Grant) {
+    fn note(&mut self, user: &User, need: Need, threads: usize) {
         let spent = user.spent.fetch_max(self.clock, Ordering::Relaxed);
         self.clock = self.clock.max(spent);
-        user.share.taken.fetch_add(grant.threads, Ordering::Relaxed);
-        self.long += if grant.little { 0 } else { grant.threads };
+        user.share.taken.fetch_add(threads, Ordering::Relaxed);
+        *self.count_of(need) += threads;
+        self.begun += 1;
+    }
+
+    fn count_of(&mut self, need: Need) -> &mut usize {
+        match need {
+            Need::Little => &mut self.little,
+            Need::Varied => &mut self.varied,
+            Need::Much => &mut self.much,
+        }
     }
 }

@@ -1,0 +1,428 @@
+//! Where sessions wait for their clients, and the threads that answer them.
+//!
+//! A session that has nothing to do is a value in its seat and has no thread. *Workers* look at the door
+//! ([`trocar_proto::door`]): who has rung gets its turn, whoever has computed least first, and is answered by
+//! whichever worker that is. So one thread answers what many clients sent, message by message, and the kernel
+//! changes threads only for the clients. There are as many workers as are in the middle of a message, waiting for
+//! their next turn, and some who look.
+//!
+//! Nobody is woken up while all threads are taken: who ends a turn looks at the door. But beside long turns somebody
+//! sleeps there with one ear open for sessions that need little, which then go ahead (`turns.rs`).
+
+use std::fmt;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::{Duration, Instant};
+
+use trocar_proto::door::{Alert, Door, SEATS};
+
+use self::worker::Worker;
+use super::scheduler::Turn;
+use super::turns::{Grant, Need, Turns, User, Waiter, Waiting, Who};
+
+#[cfg(test)]
+pub(super) mod tests;
+mod worker;
+
+/// How long a session is not looked at that nobody rings for: it may have to end, or somebody watches it.
+const SLICE: Duration = Duration::from_millis(100);
+
+/// Little work that is worth waking somebody up for: what is less is done before that one is awake.
+const WORTH_HELP: Duration = Duration::from_micros(20);
+
+/// Somebody whose client rings at the door.
+pub(super) trait Guest: Send {
+    /// Answers one message, if there is any.
+    fn attend(&mut self, turn: &mut Turn<'_>) -> Attended;
+
+    /// What its next message is expected to need, after the latest one took so much CPU time.
+    fn outlook(&mut self, computed: Duration) -> Outlook;
+
+    /// It panicked, and is not attended any more.
+    fn failed(&mut self);
+}
+
+/// What was done for a guest.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Attended {
+    /// A message was answered.
+    Answered {
+        /// Its client had to be woken up.
+        slept: bool,
+        /// There is another one.
+        more: bool,
+    },
+    /// There was none.
+    Nothing,
+    /// It leaves.
+    Over,
+}
+
+/// What is expected of a guest's next message.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Outlook {
+    pub(super) need: Need,
+    pub(super) cost: Duration,
+}
+
+/// The seats, and the threads for those who have them.
+pub(super) struct Hall {
+    pub(super) pool: rayon::ThreadPool,
+    pub(super) door: Door,
+    state: Mutex<State>,
+    /// Time for which threads were taken, all together, ns.
+    pub(super) busy: AtomicU64,
+    /// Somebody who looks at the door, awake, has to look at the queue, too.
+    beckons: AtomicBool,
+    /// Every thread is taken, so nobody looks awake.
+    taken: AtomicBool,
+}
+
+/// What workers share.
+#[expect(clippy::struct_excessive_bools, reason = "they are independent of each other")]
+pub(super) struct State {
+    pub(super) turns: Turns,
+    places: Vec<Place>,
+    /// Workers who look at the door awake.
+    polling: usize,
+    /// Workers who sleep there, or were woken up and have not looked yet.
+    asleep: usize,
+    /// One of them was woken up by the server.
+    summoned: bool,
+    /// One of them looks after [`PATIENCE`], whoever rings.
+    patient: bool,
+    /// One of them looks after [`SLICE`].
+    timed: bool,
+    /// What the door says, unless somebody was woken up since.
+    posted: Alert,
+    /// When all seats were last looked at.
+    patrolled: Instant,
+    closed: bool,
+}
+
+/// What is at a seat.
+enum Place {
+    Free,
+    /// Somebody is about to sit down, or leaves.
+    Kept,
+    Taken(Taken),
+}
+
+struct Taken {
+    user: Arc<User>,
+    outlook: Outlook,
+    /// Not here while it is attended.
+    guest: Option<Box<dyn Guest>>,
+    /// Its client has rung, or it is to be looked at, and its turn has not begun.
+    rung: bool,
+    /// It was attended since all seats were looked at.
+    attended: bool,
+}
+
+/// A seat, until this is dropped.
+pub(super) struct Seat {
+    hall: Arc<Hall>,
+    pub(super) number: u32,
+}
+
+/// A guest whose turn it is.
+struct Visit {
+    seat: u32,
+    user: Arc<User>,
+    guest: Box<dyn Guest>,
+    outlook: Outlook,
+    grant: Grant,
+}
+
+/// A visit that is over.
+struct Done {
+    seat: u32,
+    user: Arc<User>,
+    /// The thread, if it was not given back before.
+    grant: Option<Grant>,
+    /// The guest, if it stays.
+    stays: Option<(Box<dyn Guest>, Outlook)>,
+    more: bool,
+}
+
+impl Hall {
+    /// A hall with so many threads to step environments. Workers come when they are needed.
+    pub(super) fn open(
+        threads: usize,
+        door: Door,
+    ) -> Result<Arc<Self>, rayon::ThreadPoolBuildError> {
+        let pool = rayon::ThreadPoolBuilder::new()
+            .num_threads(threads)
+            .thread_name(|index| format!("trocar-step-{index}"))
+            .build()?;
+        let state = State {
+            turns: Turns::new(threads),
+            places: (0..SEATS).map(|_| Place::Free).collect(),
+            polling: 0,
+            asleep: 0,
+            summoned: false,
+            patient: false,
+            timed: false,
+            posted: Alert::Nobody,
+            patrolled: Instant::now(),
+            closed: false,
+        };
+        Ok(Arc::new(Self {
+            pool,
+            door,
+            state: Mutex::new(state),
+            busy: AtomicU64::new(0),
+            beckons: AtomicBool::new(false),
+            taken: AtomicBool::new(false),
+        }))
+    }
+
+    /// Whether there are several threads.
+    pub(super) fn is_parallel(&self) -> bool {
+        self.pool.current_num_threads() > 1
+    }
+
+    /// A seat that is free, if there is any.
+    pub(super) fn keep_seat(self: &Arc<Self>) -> Option<Seat> {
+        let mut state = self.lock();
+        let number = state.places.iter().position(|place| matches!(place, Place::Free))?;
+        state.places[number] = Place::Kept;
+        Some(Seat { hall: Arc::clone(self), number: number as u32 })
+    }
+
+    /// From now on `guest` sits there. It is looked at once, whether anybody has rung or not.
+    pub(super) fn admit(
+        self: &Arc<Self>,
+        seat: u32,
+        user: Arc<User>,
+        outlook: Outlook,
+        guest: Box<dyn Guest>,
+    ) {
+        let mut state = self.lock();
+        let guest = Some(guest);
+        let taken = Taken { user, outlook, guest, rung: false, attended: false };
+        state.places[seat as usize] = Place::Taken(taken);
+        drop(state);
+        self.call(seat);
+    }
+
+    /// Has the guest at `seat` attended to, whether anybody has rung or not.
+    pub(super) fn call(self: &Arc<Self>, seat: u32) {
+        let mut state = self.lock();
+        state.call(seat);
+        let help = state.needs_help(None);
+        self.fetch_help(state, help);
+    }
+
+    /// Workers end once the last guest has left.
+    pub(super) fn close(&self) {
+        let mut state = self.lock();
+        state.closed = true;
+        let asleep = state.asleep;
+        drop(state);
+        (0..asleep).for_each(|_| self.door.wake());
+    }
+
+    pub(super) fn lock(&self) -> MutexGuard<'_, State> {
+        // What is guarded is consistent after every statement, panic or not.
+        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Whether `user`, whose turn is over, may go on.
+    pub(super) fn renew(&self, user: &User, grant: Grant) -> bool {
+        let mut state = self.lock();
+        state.collect(&self.door);
+        state.turns.renew(user, grant)
+    }
+
+    /// Hands threads out to those who are next, after `change`.
+    pub(super) fn free(self: &Arc<Self>, change: impl FnOnce(&mut Turns)) {
+        let mut state = self.lock();
+        change(&mut state.turns);
+        let (state, _) = self.hand_out(state, false, false);
+        let help = state.needs_help(None);
+        self.fetch_help(state, help);
+    }
+
+    /// Hands threads out to those who are next; the first guest is for the caller, if it `looks` for one. Workers
+    /// are woken up with the lock released: on the same processor they may run at once.
+    fn hand_out<'a>(
+        &'a self,
+        mut state: MutexGuard<'a, State>,
+        looks: bool,
+        overdue: bool,
+    ) -> (MutexGuard<'a, State>, Option<Visit>) {
+        let mut visit = None;
+        loop {
+            state.collect(&self.door);
+            match state.turns.due(overdue).map(|next| matches!(next.who, Who::Guest(_))) {
+                Some(true) if looks && visit.is_none() => visit = state.begin_visit(),
+                Some(false) => {
+                    if let Some(waiter) = state.call_worker() {
+                        drop(state);
+                        waiter.thread.unpark();
+                        state = self.lock();
+                    }
+                }
+                Some(true) | None => {
+                    state.post(self, 0);
+                    // It may have been rung before who rings could know that.
+                    if state.posted == Alert::Nobody || !self.door.is_rung() {
+                        return (state, visit);
+                    }
+                }
+            }
+        }
+    }
+
+    /// Has somebody look at the door and at the queue, if `help` is needed.
+    fn fetch_help(self: &Arc<Self>, mut state: MutexGuard<'_, State>, help: bool) {
+        if !help || state.summoned {
+            return;
+        }
+        if state.polling > 0 {
+            self.beckons.store(true, Ordering::SeqCst);
+            return;
+        }
+        state.summoned = true;
+        let asleep = state.asleep > 0;
+        drop(state);
+        if asleep {
+            self.door.wake();
+        } else if let Err(error) = Worker::start(Arc::clone(self)) {
+            tracing::warn!(%error, "a thread could not be started; clients wait for those that there are");
+            self.lock().summoned = false;
+        }
+    }
+}
+
+impl State {
+    /// Puts those into the queue whose clients have rung.
+    pub(super) fn collect(&mut self, door: &Door) {
+        for seat in door.take() {
+            self.call(seat);
+        }
+    }
+
+    /// Puts the guest at `seat` into the queue, or has it looked at again after its turn.
+    fn call(&mut self, seat: u32) {
+        let Place::Taken(taken) = &mut self.places[seat as usize] else { return };
+        if !taken.rung && taken.guest.is_some() {
+            self.turns.queue(&taken.user, Who::Guest(seat), taken.outlook.need);
+        }
+        taken.rung = true;
+    }
+
+    /// Calls guests that were not attended since this was last done.
+    fn patrol(&mut self) {
+        if self.patrolled.elapsed() < SLICE {
+            return;
+        }
+        self.patrolled = Instant::now();
+        for seat in 0..SEATS {
+            let Place::Taken(taken) = &mut self.places[seat] else { continue };
+            if !std::mem::take(&mut taken.attended) {
+                self.call(seat as u32);
+            }
+        }
+    }
+
+    /// Begins the turn of the guest that is next.
+    fn begin_visit(&mut self) -> Option<Visit> {
+        let (Waiting { who: Who::Guest(seat), .. }, grant) = self.turns.begin()? else {
+            return None;
+        };
+        let Place::Taken(taken) = &mut self.places[seat as usize] else { return None };
+        (taken.rung, taken.attended) = (false, true);
+        let (user, outlook) = (Arc::clone(&taken.user), taken.outlook);
+        taken.guest.take().map(|guest| Visit { seat, user, guest, outlook, grant })
+    }
+
+    /// Gives a thread to the worker that is next.
+    fn call_worker(&mut self) -> Option<Arc<Waiter>> {
+        let (Waiting { who: Who::Worker(waiter), .. }, grant) = self.turns.begin()? else {
+            return None;
+        };
+        waiter.ahead.store(grant.ahead, Ordering::Relaxed);
+        waiter.called.store(true, Ordering::Release);
+        Some(waiter)
+    }
+
+    /// Takes back what a visit had.
+    fn settle(&mut self, done: Done) {
+        if let Some(grant) = done.grant {
+            self.turns.give_back(&done.user, grant);
+        }
+        let Some((guest, outlook)) = done.stays else { return };
+        let Place::Taken(taken) = &mut self.places[done.seat as usize] else { return };
+        (taken.guest, taken.outlook) = (Some(guest), outlook);
+        if std::mem::take(&mut taken.rung) || done.more {
+            self.call(done.seat);
+        }
+    }
+
+    /// Says at the door whom to wake somebody up for, also for `more` who are about to sleep.
+    fn post(&mut self, hall: &Hall, more: usize) {
+        hall.taken.store(self.turns.is_busy(), Ordering::Relaxed);
+        let wanted = if self.asleep + more == 0 {
+            Alert::Nobody
+        } else if !self.turns.is_busy() && self.polling + self.turns.little == 0 {
+            Alert::Anyone
+        } else if self.turns.may_go_ahead() && !self.patient {
+            Alert::Small
+        } else {
+            Alert::Nobody
+        };
+        // Who was woken up and has not looked yet will say.
+        let underway = self.posted != Alert::Nobody && hall.door.alert() == Alert::Nobody;
+        if wanted != self.posted && !underway {
+            hall.door.set_alert(wanted);
+            self.posted = wanted;
+        }
+    }
+
+    /// Whether somebody else has to look at the queue, or listen, while the caller attends to a guest of this
+    /// `outlook`, or to none.
+    fn needs_help(&self, outlook: Option<Outlook>) -> bool {
+        // Who needs little looks again soon.
+        let soon = outlook.is_some_and(|outlook| outlook.need == Need::Little);
+        let due = self.turns.due(false).is_some();
+        let tried = self.turns.is_tried() && !self.patient;
+        let unheard = outlook.is_some() && !soon && self.polling + self.asleep == 0;
+        due && !(soon && self.is_brief()) || tried || unheard
+    }
+
+    /// Whether those who wait at their seats are attended to before somebody else is awake.
+    fn is_brief(&self) -> bool {
+        let mut left = WORTH_HELP;
+        !self.turns.is_busy()
+            && self.turns.waiting.iter().all(|waiting| {
+                let cost = match &waiting.who {
+                    Who::Guest(seat) => match &self.places[*seat as usize] {
+                        Place::Taken(taken) => taken.outlook.cost,
+                        Place::Free | Place::Kept => Duration::ZERO,
+                    },
+                    // It has waited for a thread already.
+                    Who::Worker(_) => return false,
+                };
+                left = left.saturating_sub(cost);
+                !left.is_zero()
+            })
+    }
+
+    fn is_empty(&self) -> bool {
+        !self.places.iter().any(|place| matches!(place, Place::Taken(_)))
+    }
+}
+
+impl fmt::Debug for Hall {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Hall").field("door", &self.door).finish_non_exhaustive()
+    }
+}
+
+impl Drop for Seat {
+    fn drop(&mut self) {
+        self.hall.lock().places[self.number as usize] = Place::Free;
+    }
+}

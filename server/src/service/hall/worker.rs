@@ -1,0 +1,194 @@
+//! A thread that looks for guests whose turn it is, and attends to them.
+
+use std::panic::{self, AssertUnwindSafe};
+use std::sync::atomic::Ordering;
+use std::sync::{Arc, MutexGuard};
+use std::time::Duration;
+
+use trocar_proto::door::Alert;
+use trocar_proto::sleep::Woken;
+use trocar_proto::vigil::Vigil;
+
+use super::{Attended, Done, Guest, Hall, Place, SLICE, State, Visit};
+use crate::service::scheduler::{Turn, Watch};
+use crate::service::turns::{Need, Waiter};
+use crate::service::wakes::Wakes;
+
+/// How long those sleep whom nobody needs to look for what happens without a ring.
+const LONG: Duration = Duration::from_secs(1);
+
+/// For how long no turn must have begun until a session that needs little goes ahead of such as may do so, too.
+const PATIENCE: Duration = Duration::from_millis(1);
+
+pub(super) struct Worker {
+    hall: Arc<Hall>,
+    waiter: Arc<Waiter>,
+    vigil: Vigil,
+    /// Since when this thread has done nothing but look for the next guest.
+    watch: Option<Watch>,
+    wakes: Wakes,
+}
+
+impl Worker {
+    /// Starts one for `hall`. It ends when it is not needed any more.
+    pub(super) fn start(hall: Arc<Hall>) -> std::io::Result<()> {
+        std::thread::Builder::new().name("trocar-work".into()).spawn(move || {
+            let (waiter, vigil) = (Waiter::here(), Vigil::new());
+            let (watch, wakes) = (None, Wakes::default());
+            let mut worker = Self { hall, waiter, vigil, watch, wakes };
+            worker.hall.lock().summoned = false;
+            let mut done = None;
+            while let Some(visit) = worker.next(done) {
+                done = Some(worker.attend(visit));
+            }
+        })?;
+        Ok(())
+    }
+
+    /// Attends to a guest for one message.
+    fn attend(&mut self, visit: Visit) -> Done {
+        let Visit { seat, user, mut guest, outlook, grant } = visit;
+        let watch = self.watch.take().unwrap_or_else(Watch::start);
+        let Self { hall, waiter, wakes, .. } = self;
+        let mut turn = Turn::begin(hall, &user, waiter, Some(grant), watch, wakes);
+        let attended = panic::catch_unwind(AssertUnwindSafe(|| guest.attend(&mut turn)));
+        let (grant, computed, watch) = turn.end();
+        self.watch = Some(watch);
+        let mut more = false;
+        let stays = match attended {
+            Ok(Attended::Answered { slept, more: another }) => {
+                self.vigil.begin(slept);
+                more = another;
+                let outlook = guest.outlook(computed);
+                Some((guest, outlook))
+            }
+            Ok(Attended::Nothing) => Some((guest, outlook)),
+            Ok(Attended::Over) => {
+                self.see_off(seat, guest);
+                None
+            }
+            Err(_) => {
+                guest.failed();
+                self.see_off(seat, guest);
+                None
+            }
+        };
+        Done { seat, user, grant, stays, more }
+    }
+
+    /// Lets go of a guest, which frees its seat: on a thread of its own, since much may have to be given back.
+    fn see_off(&self, seat: u32, guest: Box<dyn Guest>) {
+        self.hall.lock().places[seat as usize] = Place::Kept;
+        let name = format!("trocar-close-{seat}");
+        let thread = std::thread::Builder::new().name(name).spawn(move || drop(guest));
+        if let Err(error) = thread {
+            tracing::debug!(%error, "a session was closed without a thread of its own");
+        }
+    }
+
+    /// The next guest whose turn it is, once there is one. `None` where this worker is not needed any more.
+    fn next(&mut self, done: Option<Done>) -> Option<Visit> {
+        let Self { hall, vigil, watch, wakes, .. } = self;
+        let mut state = hall.lock();
+        if let Some(done) = done {
+            state.settle(done);
+        }
+        // Since when no turn may have begun, for somebody to go ahead.
+        let mut patience = None;
+        let mut awake = true;
+        loop {
+            state.patrol();
+            let overdue = patience.take() == Some(state.turns.begun);
+            let visit;
+            (state, visit) = hall.hand_out(state, true, overdue);
+            if let Some(visit) = visit {
+                let help = state.needs_help(Some(visit.outlook));
+                hall.fetch_help(state, help);
+                if !(visit.outlook.need == Need::Little && wakes.may_wait_for(visit.outlook.cost)) {
+                    wakes.rouse(&hall.door);
+                }
+                vigil.end();
+                return Some(visit);
+            }
+            if !wakes.is_empty() {
+                drop(state);
+                wakes.rouse(&hall.door);
+                state = hall.lock();
+                continue;
+            }
+            if state.closed && state.is_empty() {
+                drop(state);
+                hall.door.wake();
+                return None;
+            }
+            *watch = None;
+            if std::mem::take(&mut awake) && !state.turns.is_busy() {
+                state = Self::look_awake(hall, vigil, state);
+                continue;
+            }
+            let needed;
+            (state, needed) = Self::sleep(hall, &mut patience, state);
+            if !needed {
+                return None;
+            }
+        }
+    }
+
+    /// Looks at the door for as long as that pays.
+    fn look_awake<'a>(
+        hall: &'a Hall,
+        vigil: &Vigil,
+        mut state: MutexGuard<'a, State>,
+    ) -> MutexGuard<'a, State> {
+        state.polling += 1;
+        state.post(hall, 0);
+        drop(state);
+        while !hall.door.is_rung()
+            && !hall.beckons.load(Ordering::SeqCst)
+            && !hall.taken.load(Ordering::Relaxed)
+            && vigil.keep()
+        {}
+        let mut state = hall.lock();
+        state.polling -= 1;
+        hall.beckons.store(false, Ordering::SeqCst);
+        state
+    }
+
+    /// Sleeps until somebody needs it, or it is to look after a while: in `patience`, where no more
+    /// turns have begun than it then says. False where nobody did for long.
+    fn sleep<'a>(
+        hall: &'a Hall,
+        patience: &mut Option<u64>,
+        mut state: MutexGuard<'a, State>,
+    ) -> (MutexGuard<'a, State>, bool) {
+        let patient = state.turns.is_tried() && !state.patient;
+        *patience = patient.then_some(state.turns.begun);
+        let timed = !patient && !state.timed;
+        state.patient |= patient;
+        state.timed |= timed;
+        let limit = match (patient, timed) {
+            (true, _) => PATIENCE,
+            (_, true) => SLICE,
+            _ => LONG,
+        };
+        let seen = hall.door.wakes();
+        state.post(hall, 1);
+        state.asleep += 1;
+        let listens = state.posted != Alert::Nobody;
+        drop(state);
+        // It may have been rung before who rings could know that somebody sleeps.
+        let rung = listens && hall.door.is_rung();
+        let woken = if rung { Woken::Rung } else { hall.door.sleep(seen, limit) };
+        let mut state = hall.lock();
+        state.asleep -= 1;
+        let summoned = std::mem::take(&mut state.summoned);
+        state.patient &= !patient;
+        state.timed &= !timed;
+        // Whoever was woken up has taken the alert away.
+        state.posted = hall.door.alert();
+        let needed = summoned || hall.door.wakes() != seen;
+        let others = state.asleep > hall.pool.current_num_threads();
+        let spare = limit == LONG && woken == Woken::Late && others && !needed;
+        (state, !spare)
+    }
+}
