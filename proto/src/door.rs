@@ -5,10 +5,10 @@
 //!
 //! | who rings | who is about to sleep |
 //! |---|---|
-//! | 1. sets its bit | 1. says for whom it wants to be woken up ([`Alert`]) |
+//! | 1. sets its bit | 1. says that it wants to be woken up, as which [`Listener`] |
 //! | 2. reads whether it should wake somebody up | 2. reads the bits, and does not sleep if there are any |
 //!
-//! All four are sequentially consistent, so no ring is missed. Who wakes somebody up takes the alert away: it is
+//! All four are sequentially consistent, so no ring is missed. Who wakes somebody up takes that word back: it is
 //! one who is woken up, however many ring before it looks.
 //!
 //! Clients sleep here as well, so that many who got their replies one after another are woken up together: on a
@@ -54,25 +54,22 @@ impl Size {
         if word == Self::Small as u32 { Self::Small } else { Self::Large }
     }
 
-    /// Whether a request of this size wakes somebody up who sleeps under `alert`.
-    fn wakes(self, alert: u32) -> bool {
+    /// Who may be woken up for a request of this size, one after the other.
+    fn listeners(self) -> &'static [Listener] {
         match self {
-            Self::Small => alert >= Alert::Small as u32,
-            Self::Large => alert >= Alert::Anyone as u32,
+            Self::Small => &[Listener::Small, Listener::Any],
+            Self::Large => &[Listener::Any],
         }
     }
 }
 
-/// For whose requests somebody wants to be woken up.
+/// Who sleeps at the door on the side of the server.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-#[repr(u32)]
-pub enum Alert {
-    /// Nobody's: those who are awake will look.
-    Nobody = 0,
-    /// Those that ask for little.
-    Small = 1,
-    /// All.
-    Anyone = 2,
+pub enum Listener {
+    /// One that is there for whatever is asked for.
+    Any,
+    /// One that is there for what is small, while all others are at work.
+    Small,
 }
 
 /// The words as they lie in shared memory; zeros at first.
@@ -81,11 +78,19 @@ pub enum Alert {
 struct DoorWords {
     /// A bit for each seat.
     rung: [AtomicU64; LINES],
-    /// An [`Alert`].
-    alert: AtomicU32,
-    /// How often somebody was woken up, modulo 2³². Threads of the server sleep on it.
-    wakes: AtomicU32,
+    /// For each kind of [`Listener`].
+    posts: [Post; 2],
     replies: Replies,
+}
+
+/// Where listeners of a kind sleep.
+#[derive(Debug)]
+#[repr(C)]
+struct Post {
+    /// Not 0 where one wants to be woken up.
+    alert: AtomicU32,
+    /// How often one was woken up, modulo 2³². They sleep on it.
+    wakes: AtomicU32,
 }
 
 /// How often clients of each group were woken up, modulo 2³². They sleep on it.
@@ -139,14 +144,14 @@ impl Door {
     pub fn ring(&self, seat: u32, size: Size) -> bool {
         let seat = seat as usize % SEATS;
         self.0.rung[seat / 64].fetch_or(1 << (seat % 64), Ordering::SeqCst);
-        let nobody = Alert::Nobody as u32;
-        let taken = self.0.alert.fetch_update(Ordering::SeqCst, Ordering::SeqCst, |alert| {
-            size.wakes(alert).then_some(nobody)
-        });
-        if taken.is_ok() {
-            self.wake();
-        }
-        taken.is_ok()
+        size.listeners().iter().any(|listener| {
+            let alert = &self.post(*listener).alert;
+            let wakes = alert.load(Ordering::SeqCst) != 0 && alert.swap(0, Ordering::SeqCst) != 0;
+            if wakes {
+                self.wake(*listener);
+            }
+            wakes
+        })
     }
 
     /// Whether anybody has rung since the bits were last taken.
@@ -167,34 +172,35 @@ impl Door {
         })
     }
 
-    /// For whom somebody wants to be woken up.
-    pub fn alert(&self) -> Alert {
-        match self.0.alert.load(Ordering::SeqCst) {
-            0 => Alert::Nobody,
-            1 => Alert::Small,
-            _ => Alert::Anyone,
-        }
+    /// Whether a listener of this kind wants to be woken up.
+    pub fn is_alert(&self, listener: Listener) -> bool {
+        self.post(listener).alert.load(Ordering::SeqCst) != 0
     }
 
-    /// Says for whom. Look whether anybody has rung before you sleep.
-    pub fn set_alert(&self, alert: Alert) {
-        self.0.alert.store(alert as u32, Ordering::SeqCst);
+    /// Says whether one does. Look whether anybody has rung before you sleep.
+    pub fn set_alert(&self, listener: Listener, alert: bool) {
+        self.post(listener).alert.store(alert.into(), Ordering::SeqCst);
     }
 
-    /// How often somebody was woken up.
-    pub fn wakes(&self) -> u32 {
-        self.0.wakes.load(Ordering::SeqCst)
+    /// How often one of this kind was woken up.
+    pub fn wakes(&self, listener: Listener) -> u32 {
+        self.post(listener).wakes.load(Ordering::SeqCst)
     }
 
-    /// Wakes one of those up who sleep here.
-    pub fn wake(&self) {
-        self.0.wakes.fetch_add(1, Ordering::SeqCst);
-        wake_one(&self.0.wakes);
+    /// Wakes one of this kind up.
+    pub fn wake(&self, listener: Listener) {
+        let wakes = &self.post(listener).wakes;
+        wakes.fetch_add(1, Ordering::SeqCst);
+        wake_one(wakes);
     }
 
-    /// Sleeps until woken up, at most for `limit`; not at all where somebody was woken up more often than `seen`.
-    pub fn sleep(&self, seen: u32, limit: Duration) -> Woken {
-        wait(&self.0.wakes, seen, limit)
+    /// Sleeps until woken up, at most for `limit`; not at all where one was woken up more often than `seen`.
+    pub fn sleep(&self, listener: Listener, seen: u32, limit: Duration) -> Woken {
+        wait(&self.post(listener).wakes, seen, limit)
+    }
+
+    fn post(&self, listener: Listener) -> &Post {
+        &self.0.posts[listener as usize]
     }
 
     /// Lets the client of the session at `seat` sleep until its `bell` is rung and it is woken up, at most for
@@ -257,23 +263,30 @@ mod tests {
     }
 
     #[test]
-    fn one_is_woken_up_and_only_for_those_who_are_asked_for() {
+    fn one_is_woken_up_who_wants_that_and_for_what_is_small_its_own_listener_first() {
+        use Listener::{Any, Small};
         let (_membership, server, client) = pair("door-alert");
-        for (alert, size, wakes) in [
-            (Alert::Nobody, Size::Small, false),
-            (Alert::Small, Size::Large, false),
-            (Alert::Small, Size::Small, true),
-            (Alert::Anyone, Size::Large, true),
-            (Alert::Anyone, Size::Small, true),
+        for (alert, size, woken) in [
+            (vec![], Size::Small, None),
+            (vec![Small], Size::Large, None),
+            (vec![Small], Size::Small, Some(Small)),
+            (vec![Any], Size::Large, Some(Any)),
+            (vec![Any], Size::Small, Some(Any)),
+            (vec![Any, Small], Size::Small, Some(Small)),
+            (vec![Any, Small], Size::Large, Some(Any)),
         ] {
-            server.set_alert(alert);
-            let seen = server.wakes();
-            assert_eq!(client.ring(1, size), wakes, "{alert:?} {size:?}");
-            assert_eq!(server.alert(), if wakes { Alert::Nobody } else { alert });
-            assert!(!client.ring(2, size), "once");
-            let limit = if wakes { LONG } else { Duration::from_millis(1) };
-            let woken = if wakes { Woken::Rung } else { Woken::Late };
-            assert_eq!(server.sleep(seen, limit), woken);
+            let seen = [Any, Small].map(|listener| {
+                server.set_alert(listener, alert.contains(&listener));
+                server.wakes(listener)
+            });
+            assert_eq!(client.ring(1, size), woken.is_some(), "{alert:?} {size:?}");
+            for (listener, seen) in [Any, Small].into_iter().zip(seen) {
+                let wakes = woken == Some(listener);
+                assert_eq!(server.is_alert(listener), alert.contains(&listener) && !wakes);
+                let limit = if wakes { LONG } else { Duration::from_millis(1) };
+                let how = if wakes { Woken::Rung } else { Woken::Late };
+                assert_eq!(server.sleep(listener, seen, limit), how);
+            }
         }
     }
 
@@ -303,10 +316,10 @@ mod tests {
             }
             let mut left = ROUNDS * PLACES.len() as u32;
             while left > 0 {
-                let seen = server.wakes();
-                server.set_alert(Alert::Anyone);
+                let seen = server.wakes(Listener::Any);
+                server.set_alert(Listener::Any, true);
                 if !server.is_rung() {
-                    assert_ne!(server.sleep(seen, LONG), Woken::Late);
+                    assert_ne!(server.sleep(Listener::Any, seen, LONG), Woken::Late);
                 }
                 let mut sleepers = Sleepers::default();
                 for seat in server.take() {

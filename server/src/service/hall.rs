@@ -6,15 +6,16 @@
 //! changes threads only for the clients. There are as many workers as are in the middle of a message, waiting for
 //! their next turn, and some who look.
 //!
-//! Nobody is woken up while all threads are taken: who ends a turn looks at the door. But beside long turns somebody
-//! sleeps there with one ear open for sessions that need little, which then go ahead (`turns.rs`).
+//! Nobody is woken up while all threads are taken: who ends a turn looks at the door. But beside long turns one
+//! worker, the *runner*, sleeps there for sessions that need little, which then go ahead (`turns.rs`). It does nothing
+//! else, so the kernel owes it the processor when it is woken up.
 
 use std::fmt;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
-use trocar_proto::door::{Alert, Door, SEATS};
+use trocar_proto::door::{Door, Listener, SEATS};
 
 use self::worker::Worker;
 use super::scheduler::Turn;
@@ -85,19 +86,40 @@ pub(super) struct State {
     places: Vec<Place>,
     /// Workers who look at the door awake.
     polling: usize,
-    /// Workers who sleep there, or were woken up and have not looked yet.
-    asleep: usize,
-    /// One of them was woken up by the server.
-    summoned: bool,
-    /// One of them looks after [`PATIENCE`], whoever rings.
+    /// Workers who sleep there, of each kind of [`Listener`].
+    sleepers: [Sleepers; 2],
+    /// There is one that attends to nothing but what is small.
+    runner: bool,
+    /// It looks after a while, whoever rings.
     patient: bool,
-    /// One of them looks after [`SLICE`].
+    /// A worker looks after [`SLICE`].
     timed: bool,
-    /// What the door says, unless somebody was woken up since.
-    posted: Alert,
     /// When all seats were last looked at.
     patrolled: Instant,
     closed: bool,
+}
+
+/// Workers of a kind who sleep at the door.
+#[derive(Default)]
+struct Sleepers {
+    /// How many, with those who were woken up and have not looked yet.
+    count: usize,
+    /// The server has woken one of them up, or started one.
+    summoned: bool,
+    /// The door says that one wants to be woken up, unless one was since.
+    posted: bool,
+}
+
+impl Sleepers {
+    /// Says at the door whether one wants to be woken up.
+    fn post(&mut self, door: &Door, listener: Listener, wanted: bool) {
+        // Who was woken up and has not looked yet will say.
+        let underway = self.posted && !door.is_alert(listener);
+        if wanted != self.posted && !underway {
+            door.set_alert(listener, wanted);
+            self.posted = wanted;
+        }
+    }
 }
 
 /// What is at a seat.
@@ -159,11 +181,10 @@ impl Hall {
             turns: Turns::new(threads),
             places: (0..SEATS).map(|_| Place::Free).collect(),
             polling: 0,
-            asleep: 0,
-            summoned: false,
+            sleepers: [Sleepers::default(), Sleepers::default()],
+            runner: false,
             patient: false,
             timed: false,
-            posted: Alert::Nobody,
             patrolled: Instant::now(),
             closed: false,
         };
@@ -218,9 +239,12 @@ impl Hall {
     pub(super) fn close(&self) {
         let mut state = self.lock();
         state.closed = true;
-        let asleep = state.asleep;
+        let counts =
+            [Listener::Any, Listener::Small].map(|kind| (kind, state.sleepers_of(kind).count));
         drop(state);
-        (0..asleep).for_each(|_| self.door.wake());
+        for (kind, count) in counts {
+            (0..count).for_each(|_| self.door.wake(kind));
+        }
     }
 
     pub(super) fn lock(&self) -> MutexGuard<'_, State> {
@@ -239,35 +263,47 @@ impl Hall {
     pub(super) fn free(self: &Arc<Self>, change: impl FnOnce(&mut Turns)) {
         let mut state = self.lock();
         change(&mut state.turns);
-        let (state, _) = self.hand_out(state, false, false);
+        let (state, _) = self.hand_out(state, None, false);
         let help = state.needs_help(None);
         self.fetch_help(state, help);
     }
 
-    /// Hands threads out to those who are next; the first guest is for the caller, if it `looks` for one. Workers
-    /// are woken up with the lock released: on the same processor they may run at once.
+    /// Hands threads out to those who are next; the first guest is for the caller, if it looks for one and that is
+    /// one of those that it `attends` to. Workers are woken up with the lock released: on the same processor they may
+    /// run at once.
     fn hand_out<'a>(
         &'a self,
         mut state: MutexGuard<'a, State>,
-        looks: bool,
+        attends: Option<Listener>,
         overdue: bool,
     ) -> (MutexGuard<'a, State>, Option<Visit>) {
+        let fits = |need: Need| match attends {
+            Some(Listener::Any) => true,
+            Some(Listener::Small) => need.is_small(),
+            None => false,
+        };
         let mut visit = None;
         loop {
             state.collect(&self.door);
-            match state.turns.due(overdue).map(|next| matches!(next.who, Who::Guest(_))) {
-                Some(true) if looks && visit.is_none() => visit = state.begin_visit(),
-                Some(false) => {
+            match state.turns.due(overdue) {
+                Some(Waiting { who: Who::Guest(_), need, .. })
+                    if visit.is_none() && fits(*need) =>
+                {
+                    visit = state.begin_visit();
+                }
+                Some(Waiting { who: Who::Worker(_), .. }) => {
                     if let Some(waiter) = state.call_worker() {
                         drop(state);
                         waiter.thread.unpark();
                         state = self.lock();
                     }
                 }
-                Some(true) | None => {
-                    state.post(self, 0);
+                _ => {
+                    state.post(self);
                     // It may have been rung before who rings could know that.
-                    if state.posted == Alert::Nobody || !self.door.is_rung() {
+                    if !state.sleepers.iter().any(|sleepers| sleepers.posted)
+                        || !self.door.is_rung()
+                    {
                         return (state, visit);
                     }
                 }
@@ -275,28 +311,39 @@ impl Hall {
         }
     }
 
-    /// Has somebody look at the door and at the queue, if `help` is needed.
-    fn fetch_help(self: &Arc<Self>, mut state: MutexGuard<'_, State>, help: bool) {
-        if !help || state.summoned {
-            return;
-        }
-        if state.polling > 0 {
+    /// Has a worker of the kind that is needed look at the door and at the queue.
+    fn fetch_help(self: &Arc<Self>, mut state: MutexGuard<'_, State>, kind: Option<Listener>) {
+        let Some(kind) = kind else { return };
+        if kind == Listener::Any && state.polling > 0 {
             self.beckons.store(true, Ordering::SeqCst);
             return;
         }
-        state.summoned = true;
-        let asleep = state.asleep > 0;
+        let is_there = kind == Listener::Small && state.runner;
+        let sleepers = state.sleepers_of(kind);
+        let asleep = sleepers.count > 0;
+        // The runner looks again, if it is awake.
+        if sleepers.summoned || (is_there && !asleep) {
+            return;
+        }
+        sleepers.summoned = true;
+        state.runner |= kind == Listener::Small;
         drop(state);
         if asleep {
-            self.door.wake();
-        } else if let Err(error) = Worker::start(Arc::clone(self)) {
+            self.door.wake(kind);
+        } else if let Err(error) = Worker::start(Arc::clone(self), kind) {
             tracing::warn!(%error, "a thread could not be started; clients wait for those that there are");
-            self.lock().summoned = false;
+            let mut state = self.lock();
+            state.sleepers_of(kind).summoned = false;
+            state.runner &= kind != Listener::Small;
         }
     }
 }
 
 impl State {
+    fn sleepers_of(&mut self, kind: Listener) -> &mut Sleepers {
+        &mut self.sleepers[kind as usize]
+    }
+
     /// Puts those into the queue whose clients have rung.
     pub(super) fn collect(&mut self, door: &Door) {
         for seat in door.take() {
@@ -361,53 +408,49 @@ impl State {
         }
     }
 
-    /// Says at the door whom to wake somebody up for, also for `more` who are about to sleep.
-    fn post(&mut self, hall: &Hall, more: usize) {
-        hall.taken.store(self.turns.is_busy(), Ordering::Relaxed);
-        let wanted = if self.asleep + more == 0 {
-            Alert::Nobody
-        } else if !self.turns.is_busy() && self.polling + self.turns.little == 0 {
-            Alert::Anyone
-        } else if self.turns.may_go_ahead() && !self.patient {
-            Alert::Small
-        } else {
-            Alert::Nobody
-        };
-        // Who was woken up and has not looked yet will say.
-        let underway = self.posted != Alert::Nobody && hall.door.alert() == Alert::Nobody;
-        if wanted != self.posted && !underway {
-            hall.door.set_alert(wanted);
-            self.posted = wanted;
-        }
+    /// Says at the door whether rings have to wake somebody up.
+    fn post(&mut self, hall: &Hall) {
+        let busy = self.turns.is_busy();
+        hall.taken.store(busy, Ordering::Relaxed);
+        let awake = self.polling + self.turns.little > 0;
+        let runs = self.turns.may_go_ahead() && !self.patient;
+        let [any, small] = &mut self.sleepers;
+        any.post(&hall.door, Listener::Any, any.count > 0 && !busy && !awake);
+        small.post(&hall.door, Listener::Small, small.count > 0 && runs);
     }
 
-    /// Whether somebody else has to look at the queue, or listen, while the caller attends to a guest of this
-    /// `outlook`, or to none.
-    fn needs_help(&self, outlook: Option<Outlook>) -> bool {
+    /// Who has to look at the queue, or listen, while the caller attends to a guest of this `outlook`, or to none.
+    fn needs_help(&self, outlook: Option<Outlook>) -> Option<Listener> {
         // Who needs little looks again soon.
         let soon = outlook.is_some_and(|outlook| outlook.need == Need::Little);
-        let due = self.turns.due(false).is_some();
+        let busy = self.turns.is_busy();
+        let unheard = outlook.is_some() && !soon && self.polling + self.sleepers[0].count == 0;
+        if self.turns.due(false).is_some() {
+            let kind = if busy { Listener::Small } else { Listener::Any };
+            return (busy || !(soon && self.is_brief())).then_some(kind);
+        }
         let tried = self.turns.is_tried() && !self.patient;
-        let unheard = outlook.is_some() && !soon && self.polling + self.asleep == 0;
-        due && !(soon && self.is_brief()) || tried || unheard
+        if tried || (self.turns.may_go_ahead() && !self.runner) {
+            return Some(Listener::Small);
+        }
+        (unheard && !busy).then_some(Listener::Any)
     }
 
     /// Whether those who wait at their seats are attended to before somebody else is awake.
     fn is_brief(&self) -> bool {
         let mut left = WORTH_HELP;
-        !self.turns.is_busy()
-            && self.turns.waiting.iter().all(|waiting| {
-                let cost = match &waiting.who {
-                    Who::Guest(seat) => match &self.places[*seat as usize] {
-                        Place::Taken(taken) => taken.outlook.cost,
-                        Place::Free | Place::Kept => Duration::ZERO,
-                    },
-                    // It has waited for a thread already.
-                    Who::Worker(_) => return false,
-                };
-                left = left.saturating_sub(cost);
-                !left.is_zero()
-            })
+        self.turns.waiting.iter().all(|waiting| {
+            let cost = match &waiting.who {
+                Who::Guest(seat) => match &self.places[*seat as usize] {
+                    Place::Taken(taken) => taken.outlook.cost,
+                    Place::Free | Place::Kept => Duration::ZERO,
+                },
+                // It has waited for a thread already.
+                Who::Worker(_) => return false,
+            };
+            left = left.saturating_sub(cost);
+            !left.is_zero()
+        })
     }
 
     fn is_empty(&self) -> bool {

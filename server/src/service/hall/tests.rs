@@ -69,8 +69,7 @@ impl House {
             state.polling == 0
                 && !state.turns.is_busy()
                 && state.turns.waiting.is_empty()
-                && state.asleep > 0
-                && state.posted == Alert::Anyone
+                && state.sleepers[0].posted
         });
     }
 }

@@ -5,7 +5,7 @@ use std::sync::atomic::Ordering;
 use std::sync::{Arc, MutexGuard};
 use std::time::Duration;
 
-use trocar_proto::door::Alert;
+use trocar_proto::door::Listener;
 use trocar_proto::sleep::Woken;
 use trocar_proto::vigil::Vigil;
 
@@ -22,6 +22,7 @@ const PATIENCE: Duration = Duration::from_millis(1);
 
 pub(super) struct Worker {
     hall: Arc<Hall>,
+    kind: Listener,
     waiter: Arc<Waiter>,
     vigil: Vigil,
     /// Since when this thread has done nothing but look for the next guest.
@@ -31,12 +32,13 @@ pub(super) struct Worker {
 
 impl Worker {
     /// Starts one for `hall`. It ends when it is not needed any more.
-    pub(super) fn start(hall: Arc<Hall>) -> std::io::Result<()> {
-        std::thread::Builder::new().name("trocar-work".into()).spawn(move || {
+    pub(super) fn start(hall: Arc<Hall>, kind: Listener) -> std::io::Result<()> {
+        let name = if kind == Listener::Small { "trocar-run" } else { "trocar-work" };
+        std::thread::Builder::new().name(name.into()).spawn(move || {
             let (waiter, vigil) = (Waiter::here(), Vigil::new());
             let (watch, wakes) = (None, Wakes::default());
-            let mut worker = Self { hall, waiter, vigil, watch, wakes };
-            worker.hall.lock().summoned = false;
+            let mut worker = Self { hall, kind, waiter, vigil, watch, wakes };
+            worker.hall.lock().sleepers_of(kind).summoned = false;
             let mut done = None;
             while let Some(visit) = worker.next(done) {
                 done = Some(worker.attend(visit));
@@ -88,7 +90,7 @@ impl Worker {
 
     /// The next guest whose turn it is, once there is one. `None` where this worker is not needed any more.
     fn next(&mut self, done: Option<Done>) -> Option<Visit> {
-        let Self { hall, vigil, watch, wakes, .. } = self;
+        let Self { hall, kind, vigil, watch, wakes, .. } = self;
         let mut state = hall.lock();
         if let Some(done) = done {
             state.settle(done);
@@ -100,7 +102,7 @@ impl Worker {
             state.patrol();
             let overdue = patience.take() == Some(state.turns.begun);
             let visit;
-            (state, visit) = hall.hand_out(state, true, overdue);
+            (state, visit) = hall.hand_out(state, Some(*kind), overdue);
             if let Some(visit) = visit {
                 let help = state.needs_help(Some(visit.outlook));
                 hall.fetch_help(state, help);
@@ -118,16 +120,22 @@ impl Worker {
             }
             if state.closed && state.is_empty() {
                 drop(state);
-                hall.door.wake();
+                hall.door.wake(Listener::Any);
+                hall.door.wake(Listener::Small);
                 return None;
             }
             *watch = None;
-            if std::mem::take(&mut awake) && !state.turns.is_busy() {
+            let help = state.needs_help(None).filter(|needed| needed != kind);
+            if help.is_some() {
+                hall.fetch_help(state, help);
+                state = hall.lock();
+            }
+            if std::mem::take(&mut awake) && *kind == Listener::Any && !state.turns.is_busy() {
                 state = Self::look_awake(hall, vigil, state);
                 continue;
             }
             let needed;
-            (state, needed) = Self::sleep(hall, &mut patience, state);
+            (state, needed) = Self::sleep(hall, *kind, &mut patience, state);
             if !needed {
                 return None;
             }
@@ -141,7 +149,7 @@ impl Worker {
         mut state: MutexGuard<'a, State>,
     ) -> MutexGuard<'a, State> {
         state.polling += 1;
-        state.post(hall, 0);
+        state.post(hall);
         drop(state);
         while !hall.door.is_rung()
             && !hall.beckons.load(Ordering::SeqCst)
@@ -154,16 +162,18 @@ impl Worker {
         state
     }
 
-    /// Sleeps until somebody needs it, or it is to look after a while: in `patience`, where no more
-    /// turns have begun than it then says. False where nobody did for long.
+    /// Sleeps until somebody needs it, or it is to look after a while: in `patience`, where no more turns have begun
+    /// than it then says. False where nobody did for long.
     fn sleep<'a>(
         hall: &'a Hall,
+        kind: Listener,
         patience: &mut Option<u64>,
         mut state: MutexGuard<'a, State>,
     ) -> (MutexGuard<'a, State>, bool) {
-        let patient = state.turns.is_tried() && !state.patient;
+        let runs = kind == Listener::Small;
+        let patient = runs && state.turns.is_tried();
+        let timed = !runs && !state.timed;
         *patience = patient.then_some(state.turns.begun);
-        let timed = !patient && !state.timed;
         state.patient |= patient;
         state.timed |= timed;
         let limit = match (patient, timed) {
@@ -171,23 +181,24 @@ impl Worker {
             (_, true) => SLICE,
             _ => LONG,
         };
-        let seen = hall.door.wakes();
-        state.post(hall, 1);
-        state.asleep += 1;
-        let listens = state.posted != Alert::Nobody;
+        let seen = hall.door.wakes(kind);
+        state.sleepers_of(kind).count += 1;
+        state.post(hall);
+        let listens = state.sleepers_of(kind).posted;
         drop(state);
         // It may have been rung before who rings could know that somebody sleeps.
         let rung = listens && hall.door.is_rung();
-        let woken = if rung { Woken::Rung } else { hall.door.sleep(seen, limit) };
+        let woken = if rung { Woken::Rung } else { hall.door.sleep(kind, seen, limit) };
         let mut state = hall.lock();
-        state.asleep -= 1;
-        let summoned = std::mem::take(&mut state.summoned);
         state.patient &= !patient;
         state.timed &= !timed;
+        let sleepers = state.sleepers_of(kind);
+        sleepers.count -= 1;
+        let summoned = std::mem::take(&mut sleepers.summoned);
         // Whoever was woken up has taken the alert away.
-        state.posted = hall.door.alert();
-        let needed = summoned || hall.door.wakes() != seen;
-        let others = state.asleep > hall.pool.current_num_threads();
+        sleepers.posted = hall.door.is_alert(kind);
+        let needed = runs || summoned || hall.door.wakes(kind) != seen;
+        let others = sleepers.count > hall.pool.current_num_threads();
         let spare = limit == LONG && woken == Woken::Late && others && !needed;
         (state, !spare)
     }

@@ -164,8 +164,8 @@ fn a_queue_of_small_ones_goes_ahead_of_a_long_turn_whoever_has_computed_least_fi
     let house = House::new("ahead", 1);
     let scheduler = &house.scheduler;
     let [long, first] = [(); 2].map(|()| scheduler.user());
-    // They arrive from the last to the first, and two have computed as much.
-    let spent = [4_000, 3_000, 3_000, 2_000, 1_000];
+    // They arrive from the last to the first.
+    let spent = [5_000, 4_000, 3_000, 2_000, 1_000];
     let done = Mutex::new(vec![]);
     beside(scheduler, &long, LONG, || {
         std::thread::scope(|scope| {
@@ -184,7 +184,7 @@ fn a_queue_of_small_ones_goes_ahead_of_a_long_turn_whoever_has_computed_least_fi
             });
         });
     });
-    let order = [(1_000, 4), (2_000, 3), (3_000, 1), (3_000, 2), (4_000, 0)];
+    let order = [(1_000, 4), (2_000, 3), (3_000, 2), (4_000, 1), (5_000, 0)];
     assert_eq!(done.into_inner().unwrap(), order);
     assert_eq!(state(scheduler), (1, false, 0));
 }
