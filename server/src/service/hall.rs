@@ -31,6 +31,9 @@ const SLICE: Duration = Duration::from_millis(100);
 /// Little work that is worth waking somebody up for: what is less is done before that one is awake.
 const WORTH_HELP: Duration = Duration::from_micros(20);
 
+/// How often the door is looked at in a row: somebody may ring without end.
+const MOST_LOOKS: u32 = 8;
+
 /// Somebody whose client rings at the door.
 pub(super) trait Guest: Send {
     /// Answers one message, if there is any.
@@ -282,7 +285,7 @@ impl Hall {
             Some(Listener::Small) => need.is_small(),
             None => false,
         };
-        let mut visit = None;
+        let (mut visit, mut looks) = (None, 0);
         loop {
             state.collect(&self.door);
             match state.turns.due(overdue) {
@@ -300,10 +303,10 @@ impl Hall {
                 }
                 _ => {
                     state.post(self);
+                    looks += 1;
                     // It may have been rung before who rings could know that.
-                    if !state.sleepers.iter().any(|sleepers| sleepers.posted)
-                        || !self.door.is_rung()
-                    {
+                    let listens = state.sleepers.iter().any(|sleepers| sleepers.posted);
+                    if !listens || !self.door.is_rung() || looks == MOST_LOOKS {
                         return (state, visit);
                     }
                 }

@@ -316,6 +316,30 @@ fn no_ring_is_missed_whoever_has_the_threads() {
 }
 
 #[test]
+fn who_rings_for_everybody_without_end_stops_nobody() {
+    for threads in [1, 2] {
+        let house = House::new("noise", threads);
+        let clients = [LITTLE, LONG_WORK].map(|cost| house.admit(cost, || {}));
+        let over = AtomicBool::new(false);
+        thread::scope(|scope| {
+            scope.spawn(|| {
+                let door = house.door();
+                while !over.load(Ordering::SeqCst) {
+                    for seat in 0..SEATS as u32 {
+                        door.ring(seat, Size::Small);
+                    }
+                }
+            });
+            for client in clients.iter().cycle().take(40) {
+                client.send();
+                client.await_answer();
+            }
+            over.store(true, Ordering::SeqCst);
+        });
+    }
+}
+
+#[test]
 fn who_panics_is_gone_and_others_are_attended_to() {
     let house = House::new("panic", 1);
     let bad = house.admit(LITTLE, || panic!("a fault"));
