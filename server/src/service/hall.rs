@@ -206,6 +206,11 @@ impl Hall {
         self.pool.current_num_threads() > 1
     }
 
+    /// How many workers may sleep: each keeps memory, and a new one costs as much as a step of some environments.
+    fn most_sleepers(&self) -> usize {
+        self.pool.current_num_threads() + 1
+    }
+
     /// A seat that is free, if there is any.
     pub(super) fn keep_seat(self: &Arc<Self>) -> Option<Seat> {
         let mut state = self.lock();

@@ -134,6 +134,9 @@ impl Worker {
                 state = Self::look_awake(hall, vigil, state);
                 continue;
             }
+            if *kind == Listener::Any && state.sleepers_of(*kind).count >= hall.most_sleepers() {
+                return None;
+            }
             let needed;
             (state, needed) = Self::sleep(hall, *kind, &mut patience, state);
             if !needed {
