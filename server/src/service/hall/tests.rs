@@ -164,8 +164,11 @@ impl Drop for Player {
     }
 }
 
-/// So many calls.
-struct Calls<'a>(&'a (dyn Fn() + Sync), usize);
+/// Work of so many pieces, each a call.
+pub(in crate::service) struct Calls<'a>(
+    pub(in crate::service) &'a (dyn Fn() + Sync),
+    pub(in crate::service) usize,
+);
 
 impl Divisible for Calls<'_> {
     fn len(&self) -> usize {

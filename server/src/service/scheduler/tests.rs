@@ -5,7 +5,7 @@ use std::sync::Mutex;
 use std::sync::atomic::AtomicUsize;
 
 use super::*;
-use crate::service::hall::tests::House;
+use crate::service::hall::tests::{Calls, House};
 
 impl Scheduler {
     /// Somebody who is no session takes turns on this thread.
@@ -50,23 +50,6 @@ impl Divisible for Count<'_> {
             std::thread::yield_now();
         }
         self.running.fetch_sub(1, Ordering::SeqCst);
-    }
-}
-
-/// Work of so many pieces, each a call.
-struct Calls<'a>(&'a (dyn Fn() + Sync), usize);
-
-impl Divisible for Calls<'_> {
-    fn len(&self) -> usize {
-        self.1
-    }
-
-    fn split_at(self, at: usize) -> (Self, Self) {
-        (Self(self.0, at), Self(self.0, self.1 - at))
-    }
-
-    fn run(self) {
-        (0..self.1).for_each(|_| (self.0)());
     }
 }
 
