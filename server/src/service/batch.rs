@@ -21,8 +21,10 @@ pub(crate) struct Batch {
     autoreset: Autoreset,
     /// Expected time of one environment's step.
     cost: Duration,
-    /// How many the latest message stepped.
-    stepped: usize,
+    /// How many the latest message stepped, reset or restored.
+    rows: usize,
+    /// It stepped or reset them, and nobody has said yet what that took.
+    untimed: bool,
     /// What the latest step of each environment took that was timed.
     took: Vec<Duration>,
 }
@@ -56,7 +58,8 @@ impl Batch {
             spec,
             autoreset: request.autoreset,
             cost: Duration::from_micros(100),
-            stepped: took.len(),
+            rows: took.len(),
+            untimed: false,
             took,
         })
     }
@@ -68,12 +71,14 @@ impl Batch {
 
     /// The time that the next step is expected to take, if it is of as many environments as the latest.
     pub(crate) fn cost(&self) -> Duration {
-        self.cost * self.stepped as u32
+        self.cost * self.rows as u32
     }
 
-    /// Takes note of the time that the latest step took.
+    /// Takes note of the time that the latest message took, which says something about the next step if it was one.
     pub(crate) fn learn(&mut self, took: Duration) {
-        self.cost = (self.cost + took / self.stepped as u32) / 2;
+        if std::mem::take(&mut self.untimed) {
+            self.cost = (self.cost + took / self.rows as u32) / 2;
+        }
     }
 
     /// Copies of the environments `env_ids`, as they are now.
@@ -164,7 +169,9 @@ impl Batch {
             self.check_reset(env_ids)?;
         }
         let cost = self.cost;
-        self.stepped = env_ids.len();
+        self.rows = env_ids.len();
+        // States may have to be rebuilt before they are restored.
+        self.untimed = !matches!(deed, Deed::Restore(_));
         let work = Work {
             first: 0,
             envs: &mut self.envs,
@@ -510,5 +517,44 @@ fn write_state(env: &Env, want_expert: bool, rows: &mut Rows<'_>, row: usize) {
     } else {
         expert_action.fill(0.0);
         *stage = 0;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use trocar_proto::wire::ReplyLayout;
+
+    use super::super::hall::tests::House;
+    use super::super::witness::Tape;
+    use super::*;
+
+    #[test]
+    fn what_a_step_takes_is_learnt_from_steps_and_from_nothing_that_is_refused() {
+        let request = SessionRequest::new("EcmReach-v0").envs(2);
+        let mut batch = Batch::new(&Registry::builtin(), &request).unwrap();
+        let layout = ReplyLayout::new(2, batch.spec());
+        let mut reply = vec![0_u64; layout.bytes / 8];
+        let house = House::new("learns", 1);
+        let mut apply = |batch: &mut Batch, deed: Deed<'_>, env_ids: &[u32], took| {
+            let rows = Rows::of(&layout, bytemuck::cast_slice_mut(&mut reply), env_ids.len());
+            let witness = Witness { failures: None, tape: &Tape::default() };
+            let user = house.scheduler.user();
+            let done = house
+                .scheduler
+                .alone(&user, |turn| batch.apply(deed, env_ids, false, witness, rows, turn));
+            batch.learn(took);
+            done.map(|()| batch.cost())
+        };
+        let [none, some] = [Duration::ZERO, Duration::from_micros(80)];
+        // 100 µs each at first, which every message halves, and half of what it took.
+        let cost = apply(&mut batch, Deed::Reset(None), &[0, 1], none).unwrap();
+        assert_eq!(cost, Duration::from_micros(100));
+        // Of fewer environments, less is expected.
+        let cost = apply(&mut batch, Deed::Step(&[0.0; 3]), &[1], some).unwrap();
+        assert_eq!(cost, Duration::from_micros(65));
+        assert!(apply(&mut batch, Deed::Step(&[f32::NAN; 3]), &[1], none).is_err());
+        assert_eq!(batch.cost(), cost);
+        let state = Arc::new(batch.env(0).clone());
+        assert_eq!(apply(&mut batch, Deed::Restore(&[state]), &[1], some), Ok(cost));
     }
 }

@@ -158,8 +158,6 @@ struct Course {
     steps: u64,
     /// Requests that a client may still have in flight when its server was told to end.
     left: usize,
-    /// The latest message stepped environments.
-    stepped: bool,
     /// What messages took at most, CPU time; less and less for what is long ago.
     peak: Duration,
 }
@@ -184,9 +182,9 @@ impl Session {
     ) -> Result<(Self, SessionInfo), Rejection> {
         let batch = Batch::new(&ground.registry, wanted)?;
         let spec = batch.spec();
-        let (envs_count, action_dim) = (wanted.envs as usize, spec.action_dim());
-        let request_layout = RequestLayout::new(envs_count, spec);
-        let reply_layout = ReplyLayout::new(envs_count, spec);
+        let (envs, action_dim) = (wanted.envs as usize, spec.action_dim());
+        let request_layout = RequestLayout::new(envs, spec);
+        let reply_layout = ReplyLayout::new(envs, spec);
         let (epoch, id) = (ground.epoch, shared.id);
         let view = wanted.view.as_ref();
         let view = view.map(|view| ground.registry.view(&wanted.task, &wanted.options, view));
@@ -216,23 +214,22 @@ impl Session {
             return Err(Rejection::new(Code::UnknownSession, "session", id, why));
         }
         let ports = DataPorts::open(&ground.node, &ground.endpoint, epoch, id, most)?;
-        let Shared { task, envs, client, .. } = &*shared;
+        let Shared { task, client, .. } = &*shared;
         let (pid, language) = (client.pid, client.language.as_str());
         tracing::info!(session = id, pid, language, task, envs, "session opened");
         ground.meter.opened();
         let session = Self {
             ports,
             inbox: Inbox {
-                env_ids: vec![0; envs_count],
-                actions: vec![0.0; envs_count * action_dim],
-                numbers: vec![0; envs_count],
+                env_ids: vec![0; envs],
+                actions: vec![0.0; envs * action_dim],
+                numbers: vec![0; envs],
             },
             course: Course {
                 opened: Instant::now(),
                 active: Instant::now(),
                 steps: 0,
                 left: MAX_IN_FLIGHT,
-                stepped: false,
                 peak: Duration::ZERO,
             },
             meter: ground.meter.task(&shared.task),
@@ -272,9 +269,8 @@ impl Session {
         Attended::Nothing
     }
 
-    /// Answers one request; returns how many steps environments took, and whether the client had to be woken up.
-    fn answer(&mut self, request: &Request, turn: &mut Turn<'_>) -> (u64, bool) {
-        let start = Instant::now();
+    /// Answers one request, which was found at `start`; returns how many steps environments took, and whether the client had to be woken up.
+    fn answer(&mut self, request: &Request, start: Instant, turn: &mut Turn<'_>) -> (u64, bool) {
         let asked = *request.user_header();
         let room = match &self.view {
             Some((_, layout)) if asked.kind == kind::RENDER => layout.bytes,
@@ -291,7 +287,6 @@ impl Session {
             Header { session: self.shared.id, epoch: self.ground.epoch, ..Header::new(asked.kind) };
         header.request = asked.request;
         header.flags = asked.flags;
-        self.course.stepped = false;
         let result = self.carry_out(&asked, request.payload(), response.payload_mut(), turn);
         let watched = self.shared.slot.is_watched();
         let steps = match result {
@@ -454,7 +449,6 @@ impl Session {
         let want_expert = asked.flags & flag::WANT_EXPERT != 0;
         let failures = self.ground.failures.as_ref();
         let witness = Witness { failures, tape: &self.shared.tape };
-        self.course.stepped = true;
         self.batch.apply(deed, env_ids, want_expert, witness, out, turn)
     }
 
@@ -474,7 +468,7 @@ impl Guest for Session {
         match self.ports.port.receive() {
             Ok(Some(request)) => {
                 let start = Instant::now();
-                let (steps, slept) = self.answer(&request, turn);
+                let (steps, slept) = self.answer(&request, start, turn);
                 self.note(start, steps);
                 self.course.steps += steps;
                 self.course.active = Instant::now();
@@ -492,9 +486,7 @@ impl Guest for Session {
     }
 
     fn outlook(&mut self, computed: Duration) -> Outlook {
-        if std::mem::take(&mut self.course.stepped) {
-            self.batch.learn(computed);
-        }
+        self.batch.learn(computed);
         let peak = self.course.peak;
         self.course.peak = computed.max(peak.mul_f64(FADING));
         let cost = self.batch.cost();
