@@ -90,7 +90,7 @@ pub(super) struct State {
     /// Workers who look at the door awake.
     polling: usize,
     /// Workers who sleep there, of each kind of [`Listener`].
-    sleepers: [Sleepers; 2],
+    asleep: [Asleep; 2],
     /// There is one that attends to nothing but what is small.
     runner: bool,
     /// It looks after a while, whoever rings.
@@ -104,7 +104,7 @@ pub(super) struct State {
 
 /// Workers of a kind who sleep at the door.
 #[derive(Default)]
-struct Sleepers {
+struct Asleep {
     /// How many, with those who were woken up and have not looked yet.
     count: usize,
     /// The server has woken one of them up, or started one.
@@ -113,7 +113,7 @@ struct Sleepers {
     posted: bool,
 }
 
-impl Sleepers {
+impl Asleep {
     /// Says at the door whether one wants to be woken up.
     fn post(&mut self, door: &Door, listener: Listener, wanted: bool) {
         // Who was woken up and has not looked yet will say.
@@ -184,7 +184,7 @@ impl Hall {
             turns: Turns::new(threads),
             places: (0..SEATS).map(|_| Place::Free).collect(),
             polling: 0,
-            sleepers: [Sleepers::default(), Sleepers::default()],
+            asleep: [Asleep::default(), Asleep::default()],
             runner: false,
             patient: false,
             timed: false,
@@ -247,8 +247,7 @@ impl Hall {
     pub(super) fn close(&self) {
         let mut state = self.lock();
         state.closed = true;
-        let counts =
-            [Listener::Any, Listener::Small].map(|kind| (kind, state.sleepers_of(kind).count));
+        let counts = [Listener::Any, Listener::Small].map(|kind| (kind, state.asleep(kind).count));
         drop(state);
         for (kind, count) in counts {
             (0..count).for_each(|_| self.door.wake(kind));
@@ -310,7 +309,7 @@ impl Hall {
                     state.post(self);
                     looks += 1;
                     // It may have been rung before who rings could know that.
-                    let listens = state.sleepers.iter().any(|sleepers| sleepers.posted);
+                    let listens = state.asleep.iter().any(|asleep| asleep.posted);
                     if !listens || !self.door.is_rung() || looks == MOST_LOOKS {
                         return (state, visit);
                     }
@@ -327,29 +326,29 @@ impl Hall {
             return;
         }
         let is_there = kind == Listener::Small && state.runner;
-        let sleepers = state.sleepers_of(kind);
-        let asleep = sleepers.count > 0;
+        let asleep = state.asleep(kind);
+        let is_asleep = asleep.count > 0;
         // The runner looks again, if it is awake.
-        if sleepers.summoned || (is_there && !asleep) {
+        if asleep.summoned || (is_there && !is_asleep) {
             return;
         }
-        sleepers.summoned = true;
+        asleep.summoned = true;
         state.runner |= kind == Listener::Small;
         drop(state);
-        if asleep {
+        if is_asleep {
             self.door.wake(kind);
         } else if let Err(error) = Worker::start(Arc::clone(self), kind) {
             tracing::warn!(%error, "a thread could not be started; clients wait for those that there are");
             let mut state = self.lock();
-            state.sleepers_of(kind).summoned = false;
+            state.asleep(kind).summoned = false;
             state.runner &= kind != Listener::Small;
         }
     }
 }
 
 impl State {
-    fn sleepers_of(&mut self, kind: Listener) -> &mut Sleepers {
-        &mut self.sleepers[kind as usize]
+    fn asleep(&mut self, kind: Listener) -> &mut Asleep {
+        &mut self.asleep[kind as usize]
     }
 
     /// Puts those into the queue whose clients have rung.
@@ -422,7 +421,7 @@ impl State {
         hall.taken.store(busy, Ordering::Relaxed);
         let awake = self.polling + self.turns.little > 0;
         let runs = self.turns.may_go_ahead() && !self.patient;
-        let [any, small] = &mut self.sleepers;
+        let [any, small] = &mut self.asleep;
         any.post(&hall.door, Listener::Any, any.count > 0 && !busy && !awake);
         small.post(&hall.door, Listener::Small, small.count > 0 && runs);
     }
@@ -432,7 +431,9 @@ impl State {
         // Who needs little looks again soon.
         let soon = outlook.is_some_and(|outlook| outlook.need == Need::Little);
         let busy = self.turns.is_busy();
-        let unheard = outlook.is_some() && !soon && self.polling + self.sleepers[0].count == 0;
+        let unheard = outlook.is_some()
+            && !soon
+            && self.polling + self.asleep[Listener::Any as usize].count == 0;
         if self.turns.due(false).is_some() {
             let kind = if busy { Listener::Small } else { Listener::Any };
             return (busy || !(soon && self.is_brief())).then_some(kind);

@@ -20,7 +20,7 @@ pub(super) struct Turns {
     /// How many have ever waited.
     arrivals: u64,
     /// What the one who had the latest turn had spent before it, ns.
-    pub(super) clock: u64,
+    clock: u64,
     /// How many turns have begun.
     pub(super) begun: u64,
 }

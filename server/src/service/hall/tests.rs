@@ -69,7 +69,7 @@ impl House {
             state.polling == 0
                 && !state.turns.is_busy()
                 && state.turns.waiting.is_empty()
-                && state.sleepers[0].posted
+                && state.asleep[Listener::Any as usize].posted
         });
     }
 }

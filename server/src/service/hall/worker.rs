@@ -6,7 +6,6 @@ use std::sync::{Arc, MutexGuard};
 use std::time::Duration;
 
 use trocar_proto::door::Listener;
-use trocar_proto::sleep::Woken;
 use trocar_proto::vigil::Vigil;
 
 use super::{Attended, Done, Guest, Hall, Place, SLICE, State, Visit};
@@ -20,6 +19,7 @@ const LONG: Duration = Duration::from_secs(1);
 /// For how long no turn must have begun until a session that needs little goes ahead of such as may do so, too.
 const PATIENCE: Duration = Duration::from_millis(1);
 
+/// A thread, and what it has to attend to guests with.
 pub(super) struct Worker {
     hall: Arc<Hall>,
     kind: Listener,
@@ -38,7 +38,7 @@ impl Worker {
             let (waiter, vigil) = (Waiter::here(), Vigil::new());
             let (watch, wakes) = (None, Wakes::default());
             let mut worker = Self { hall, kind, waiter, vigil, watch, wakes };
-            worker.hall.lock().sleepers_of(kind).summoned = false;
+            worker.hall.lock().asleep(kind).summoned = false;
             let mut done = None;
             while let Some(visit) = worker.next(done) {
                 done = Some(worker.attend(visit));
@@ -134,14 +134,10 @@ impl Worker {
                 state = Self::look_awake(hall, vigil, state);
                 continue;
             }
-            if *kind == Listener::Any && state.sleepers_of(*kind).count >= hall.most_sleepers() {
+            if *kind == Listener::Any && state.asleep(*kind).count >= hall.most_sleepers() {
                 return None;
             }
-            let needed;
-            (state, needed) = Self::sleep(hall, *kind, &mut patience, state);
-            if !needed {
-                return None;
-            }
+            state = Self::sleep(hall, *kind, &mut patience, state);
         }
     }
 
@@ -166,13 +162,13 @@ impl Worker {
     }
 
     /// Sleeps until somebody needs it, or it is to look after a while: in `patience`, where no more turns have begun
-    /// than it then says. False where nobody did for long.
+    /// than it then says.
     fn sleep<'a>(
         hall: &'a Hall,
         kind: Listener,
         patience: &mut Option<u64>,
         mut state: MutexGuard<'a, State>,
-    ) -> (MutexGuard<'a, State>, bool) {
+    ) -> MutexGuard<'a, State> {
         let runs = kind == Listener::Small;
         let patient = runs && state.turns.is_tried();
         let timed = !runs && !state.timed;
@@ -185,24 +181,22 @@ impl Worker {
             _ => LONG,
         };
         let seen = hall.door.wakes(kind);
-        state.sleepers_of(kind).count += 1;
+        state.asleep(kind).count += 1;
         state.post(hall);
-        let listens = state.sleepers_of(kind).posted;
+        let listens = state.asleep(kind).posted;
         drop(state);
         // It may have been rung before who rings could know that somebody sleeps.
-        let rung = listens && hall.door.is_rung();
-        let woken = if rung { Woken::Rung } else { hall.door.sleep(kind, seen, limit) };
+        if !(listens && hall.door.is_rung()) {
+            hall.door.sleep(kind, seen, limit);
+        }
         let mut state = hall.lock();
         state.patient &= !patient;
         state.timed &= !timed;
-        let sleepers = state.sleepers_of(kind);
-        sleepers.count -= 1;
-        let summoned = std::mem::take(&mut sleepers.summoned);
+        let asleep = state.asleep(kind);
+        asleep.count -= 1;
+        asleep.summoned = false;
         // Whoever was woken up has taken the alert away.
-        sleepers.posted = hall.door.is_alert(kind);
-        let needed = runs || summoned || hall.door.wakes(kind) != seen;
-        let others = sleepers.count > hall.pool.current_num_threads();
-        let spare = limit == LONG && woken == Woken::Late && others && !needed;
-        (state, !spare)
+        asleep.posted = hall.door.is_alert(kind);
+        state
     }
 }
