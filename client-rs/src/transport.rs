@@ -224,8 +224,8 @@ impl DataPort {
         Ok(Pending { request, seen })
     }
 
-    /// Waits at most `patience` for the reply to `pending`. Where that is in vain, and whenever a wait was, it looks
-    /// whether the server lives; else it looks only when the bell was rung.
+    /// Waits at most `patience` for the reply to `pending`. It looks for it when the bell was rung, when the time is over,
+    /// and when it has slept in vain; then it also checks that the server lives.
     pub(crate) fn receive(
         &mut self,
         pending: &mut Pending,

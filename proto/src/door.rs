@@ -208,6 +208,7 @@ impl Door {
     pub fn await_reply(&self, seat: u32, bell: &Bell, seen: u32, limit: Duration) -> Woken {
         let (group, bit) = place(seat);
         let word = &self.0.replies.0[group];
+        // Before it says that it sleeps: whoever wakes it up from then on changes this, and it does not fall asleep.
         let before = word.load(Ordering::SeqCst);
         bell.set_asleep(true);
         let rung = bell.count() != seen;

@@ -8,7 +8,7 @@
 //!
 //! Nobody is woken up while all threads are taken: who ends a turn looks at the door. But beside long turns one
 //! worker, the *runner*, sleeps there for sessions that need little, which then go ahead (`turns.rs`). It does nothing
-//! else, so the kernel owes it the processor when it is woken up.
+//! else: who has just computed for long is given the processor late when it is woken up.
 
 use std::fmt;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
@@ -206,7 +206,8 @@ impl Hall {
         self.pool.current_num_threads() > 1
     }
 
-    /// How many workers may sleep: each keeps memory, and a new one costs as much as a step of some environments.
+    /// How many workers may sleep. Each has a heap of its own: with 16 clients of which five a second are killed, a
+    /// server with as many as came took 44 to 50 MiB after a minute, with these 36 to 40 (a run each).
     fn most_sleepers(&self) -> usize {
         self.pool.current_num_threads() + 1
     }

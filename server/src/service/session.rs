@@ -32,7 +32,8 @@ use super::witness::{Failures, Tape, Witness};
 use crate::env::{Env, Imaging, Rebuild};
 use crate::tasks::Registry;
 
-/// What is left of the peak of what messages took after one that took less: a third after 70.
+/// What is left of the peak of what messages took after one that took less: a third after 70, about an episode.
+/// Chosen, not measured.
 const FADING: f64 = 0.984;
 
 /// What all sessions of a server share.
