@@ -72,6 +72,11 @@ wheels: $(VENV)/ready ## * dist/: the wheels trocar (client) and trocar-server (
 	$(BIN)/maturin build --release --locked --manifest-path client-py/Cargo.toml --out dist
 	$(BIN)/maturin build --release --locked --manifest-path server/cli/Cargo.toml --out dist
 
+# TROCAR_BITS=starts: only the episodes whose start is the expert's work.
+.PHONY: bits
+bits: ## server/tests/fixtures/bits.bin: records its episodes anew; only when physics changes on purpose
+	TROCAR_BITS=$${TROCAR_BITS:-all} $(CARGO) test --locked -p trocar-server --test bits -- --ignored --exact write_the_file
+
 # ---- Checking ----
 
 .PHONY: test

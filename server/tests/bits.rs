@@ -1,0 +1,257 @@
+//! The bits stay: episodes that were recorded once come again bit by bit, their pictures too.
+//!
+//! `fixtures/bits.bin` has episodes of every task under every option that changes what it does, in a
+//! format of its own (`bits/format.rs`): the options that were given, the actions, and at every tenth step hashes
+//! of the world, the observation, goals, rewards and flags, and pictures. Actions are stored and not asked of
+//! the expert, so an expert may change; states in which episodes start with a part of the work done
+//! are the expert's.
+//!
+//! `make bits` writes the file anew, `TROCAR_BITS=starts make bits` only episodes with such a start. That is
+//! done only when physics, or with those starts the expert, changes on purpose.
+
+#![expect(clippy::unwrap_used, reason = "a panic is a test's report, in its helpers too")]
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+use rayon::prelude::*;
+use trocar_proto::Options;
+use trocar_proto::spec::{Allowed, OptionValue};
+use trocar_server::tasks::Registry;
+
+use format::{Episode, HASHED, decode, encode, json_of};
+use player::Player;
+
+#[path = "bits/episodes.rs"]
+mod episodes;
+#[path = "bits/format.rs"]
+mod format;
+#[path = "bits/player.rs"]
+mod player;
+
+/// Size that the file may have, bytes.
+const MOST_BYTES: usize = 2 << 20;
+
+/// How many differences are told of in full.
+const TOLD: usize = 12;
+
+/// Height by which an object that was lifted is above where it lay, m.
+const LIFTED: f64 = 0.005;
+
+/// Choices of which each word that a task knows must be in the file. What is added later need not.
+const CHOICES: [(&str, &[&str]); 7] = [
+    ("action", &["paper", "cartesian", "cartesian_abs", "joint"]),
+    ("grasp", &["interact", "approx", "weld"]),
+    ("preset", &["paper", "surrol"]),
+    ("spawn", &["workspace", "narrow"]),
+    ("start", &["reset", "approach", "pick", "lift"]),
+    ("reward", &["sparse", "dense"]),
+    ("observation", &["state", "perceived", "rgb", "depth", "mask", "points"]),
+];
+
+/// The same for rows of `domain`.
+const ROWS: [&str; 8] = [
+    "observation_noise",
+    "joint_offset",
+    "latency",
+    "friction",
+    "mass",
+    "size",
+    "camera_pose_position",
+    "camera_pose_angle",
+];
+
+fn fixture() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/fixtures/bits.bin")
+}
+
+fn recorded() -> Vec<Episode> {
+    decode(&std::fs::read(fixture()).unwrap())
+}
+
+/// What came of an episode that was played again.
+struct Replayed {
+    /// At which step it was another, and in what.
+    difference: Option<String>,
+    /// Whether an object was above where it lay at first.
+    lifts: bool,
+    /// Whether its goal was reached after any step.
+    succeeds: bool,
+}
+
+/// The hashes that differ between the mark of an episode and what it looks like now.
+fn difference(episode: &Episode, player: &Player, mark: usize) -> Option<String> {
+    let (then, now) = (&episode.marks[mark], player.mark());
+    if *then == now {
+        return None;
+    }
+    let pairs = then.hashes.iter().zip(&now.hashes);
+    let others = HASHED.iter().zip(pairs).filter(|(_, (then, now))| then != now);
+    let mut others: Vec<_> = others.map(|(name, _)| *name).collect();
+    if then.hashes.len() != now.hashes.len() {
+        others.push("which pictures there are");
+    }
+    Some(format!("step {}: {}", then.step, others.join(", ")))
+}
+
+fn replay(episode: &Episode) -> Replayed {
+    let mut player = match Player::new(episode) {
+        Ok(player) => player,
+        Err(refusal) => {
+            let difference = Some(format!("it is refused: {refusal}"));
+            return Replayed { difference, lifts: false, succeeds: false };
+        }
+    };
+    let heights = |player: &Player| -> Vec<f64> {
+        let world = player.env().world();
+        world.objects().map(|object| world.pose(object).translation.z).collect()
+    };
+    let at_first = heights(&player);
+    let mut lifts = false;
+    let mut found = difference(episode, &player, 0);
+    let mut marks = 1;
+    for (step, action) in episode.actions().enumerate() {
+        player.step(&action);
+        let is_marked = episode.marks.get(marks).is_some_and(|m| usize::from(m.step) == step + 1);
+        if found.is_none() && is_marked {
+            found = difference(episode, &player, marks);
+            marks += 1;
+            let mut rise = heights(&player).into_iter().zip(&at_first).map(|(z, first)| z - first);
+            lifts |= rise.any(|rise| rise > LIFTED);
+        }
+    }
+    Replayed { difference: found, lifts, succeeds: player.has_succeeded() }
+}
+
+#[test]
+fn recorded_episodes_come_again_bit_by_bit() {
+    let episodes = recorded();
+    let replayed: Vec<_> = episodes.par_iter().map(replay).collect();
+    let mut counts = BTreeMap::<&str, usize>::new();
+    let mut told = vec![];
+    for (index, (episode, replayed)) in episodes.iter().zip(&replayed).enumerate() {
+        if let Some(difference) = &replayed.difference {
+            let Episode { task, options, seed, number, .. } = episode;
+            *counts.entry(task).or_default() += 1;
+            let options = json_of(options);
+            told.push(format!("{index}: {task} {options} {seed}.{number}, {difference}"));
+        }
+    }
+    let different = told.len();
+    told.truncate(TOLD);
+    let of = episodes.len();
+    assert!(
+        different == 0,
+        "{different} of {of} episodes differ: {counts:?}; the first:\n{}",
+        told.join("\n")
+    );
+    // Half of their actions are random, and still work is done.
+    let registry = Registry::builtin();
+    for id in registry.ids() {
+        let spec = registry.spec(id, &Options::new()).unwrap();
+        let of_task = || episodes.iter().zip(&replayed).filter(|(episode, _)| episode.task == id);
+        let succeed = of_task().filter(|(_, replayed)| replayed.succeeds).count();
+        let lift = of_task().filter(|(_, replayed)| replayed.lifts).count();
+        println!("{id}: {} episodes, {lift} lift, {succeed} succeed", of_task().count());
+        assert!(spec.goal.is_none() || succeed >= 5, "{id}: {succeed} reach the goal");
+        let grasps = spec.options.iter().any(|option| option.name == "grasp");
+        assert!(!grasps || lift >= 10, "{id}: {lift} lift an object");
+    }
+}
+
+/// Whether an option was given with this word; a default counts where it was not given.
+fn has(options: &Options, name: &str, word: &str, is_default: bool) -> bool {
+    match options.0.get(name) {
+        Some(OptionValue::Text(given)) => given == word,
+        Some(OptionValue::Texts(given)) => given.iter().any(|given| given == word),
+        _ => is_default,
+    }
+}
+
+#[test]
+fn the_file_is_small_and_has_every_task_under_all_that_changes_it() {
+    let bytes = std::fs::read(fixture()).unwrap();
+    let episodes = recorded();
+    assert!(bytes.len() <= MOST_BYTES, "{} bytes", bytes.len());
+    assert!(encode(&episodes) == bytes, "what is read is written alike");
+    assert!(episodes.len() >= 300, "{} episodes", episodes.len());
+    let pictures = episodes.iter().filter(|episode| episode.has_pictures()).count();
+    assert!(pictures >= 40, "{pictures} episodes with pictures");
+    let steps: usize = episodes.iter().map(Episode::steps).sum();
+    let expert_steps: usize = episodes.iter().map(|e| usize::from(e.expert_steps)).sum();
+    let share = expert_steps as f64 / steps as f64;
+    assert!((0.45..0.55).contains(&share), "{share} of {steps} steps are the expert's");
+    println!("{} bytes, {} episodes, {pictures} with pictures", bytes.len(), episodes.len());
+    println!("{steps} steps, {share:.2} the expert's");
+    assert!(episodes.iter().any(|e| e.number > 0 && e.has_start_of_expert()));
+    assert!(episodes.iter().flat_map(Episode::actions).flatten().any(|number| number > 1.2));
+    for episode in &episodes {
+        let marks: Vec<_> = episode.marks.iter().map(|mark| usize::from(mark.step)).collect();
+        let steps = episode.steps();
+        let mut expected: Vec<_> = (0..=steps).step_by(episodes::EVERY).collect();
+        expected.extend((!steps.is_multiple_of(episodes::EVERY)).then_some(steps));
+        assert_eq!(marks, expected, "{}", episode.task);
+    }
+    let registry = Registry::builtin();
+    for id in registry.ids() {
+        let of_task: Vec<_> = episodes.iter().filter(|episode| episode.task == id).collect();
+        let spec = registry.spec(id, &Options::new()).unwrap();
+        for option in &spec.options {
+            let is_given =
+                |name: &str| of_task.iter().any(|e| e.options.row(&option.name, name).is_some());
+            match &option.allowed {
+                Allowed::OneOf(known) | Allowed::SomeOf(known) => {
+                    let listed = CHOICES.iter().filter(|(name, _)| *name == option.name);
+                    for word in listed.flat_map(|(_, words)| *words) {
+                        let is_there = of_task
+                            .iter()
+                            .any(|e| has(&e.options, &option.name, word, *word == known[0]));
+                        let is_known = known.iter().any(|known| known == word);
+                        assert!(!is_known || is_there, "{id}: no {} {word}", option.name);
+                    }
+                }
+                Allowed::Table(known) if option.name == "domain" => {
+                    for row in ROWS.iter().filter(|row| known.iter().any(|k| k.name == **row)) {
+                        assert!(is_given(row), "{id}: no row {row}");
+                    }
+                }
+                Allowed::Table(_) => {
+                    let is_moved = of_task.iter().any(|e| e.options.0.contains_key("setup"));
+                    assert!(option.name != "setup" || is_moved, "{id}: no arm is moved");
+                }
+                _ => {}
+            }
+        }
+        for camera in ["endoscope", "overview", "stereo", "placed"] {
+            let seen = of_task.iter().any(|episode| {
+                episode.has_pictures()
+                    && has(&episode.options, "camera", camera, camera == "endoscope")
+            });
+            let rgb = OptionValue::Texts(vec!["rgb".into()]);
+            let options = Options::new().with("observation", rgb).with_text("camera", camera);
+            let is_known = registry.make(id, &options).is_ok();
+            assert!(seen || !is_known, "{id}: no picture from {camera}");
+        }
+    }
+}
+
+#[test]
+#[ignore = "writes the file: `make bits`"]
+fn write_the_file() {
+    let which = std::env::var("TROCAR_BITS").expect("TROCAR_BITS is all or starts");
+    let episodes = match which.as_str() {
+        "all" => episodes::record(episodes::all()),
+        "starts" => {
+            let mut episodes = recorded();
+            let of_expert = |e: &&mut Episode| e.has_start_of_expert();
+            let rows: Vec<_> = episodes.iter_mut().filter(of_expert).collect();
+            let anew = episodes::record(rows.iter().map(|row| (**row).clone()).collect());
+            rows.into_iter().zip(anew).for_each(|(row, anew)| *row = anew);
+            episodes
+        }
+        other => panic!("TROCAR_BITS is all or starts, not {other:?}"),
+    };
+    let bytes = encode(&episodes);
+    assert!(decode(&bytes) == episodes, "what is written is read alike");
+    std::fs::write(fixture(), bytes).unwrap();
+}
