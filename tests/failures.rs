@@ -57,12 +57,11 @@ impl Task for Clumsy {
         self.seen = 0.0;
     }
 
-    fn apply(&mut self, world: &mut World, action: Option<&[f32]>) {
+    fn command(&mut self, world: &mut World, action: Option<&[f32]>) {
         match action {
             Some([1.0]) => self.seen = f32::NAN,
             Some([-1.0]) => {
                 world.set_velocity(self.ball, &[0.0, 0.0, 5.0].into());
-                (0..24).for_each(|_| world.step());
             }
             _ => {}
         }

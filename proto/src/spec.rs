@@ -233,6 +233,8 @@ pub enum Allowed {
         /// Largest value.
         max: f64,
     },
+    /// One of these numbers.
+    NumberOf(Vec<f64>),
     /// One of these words.
     OneOf(Vec<String>),
     /// One or more of these words, none twice.
@@ -270,6 +272,7 @@ impl fmt::Display for Allowed {
         match self {
             Self::Flag => write!(f, "true or false"),
             Self::Range { min, max } => write!(f, "a number in [{min}, {max}]"),
+            Self::NumberOf(numbers) => write!(f, "one of {numbers:?}"),
             Self::OneOf(words) => write!(f, "one of {words:?}"),
             Self::SomeOf(words) => write!(f, "one or more of {words:?}, none twice"),
             Self::Vector { count, min, max } => {
@@ -298,6 +301,7 @@ impl Allowed {
             (Self::Range { min, max }, OptionValue::Number(number)) => {
                 (min..=max).contains(&number)
             }
+            (Self::NumberOf(numbers), OptionValue::Number(number)) => numbers.contains(number),
             (Self::OneOf(words), OptionValue::Text(word)) => words.contains(word),
             (Self::SomeOf(words), OptionValue::Texts(chosen)) => {
                 !chosen.is_empty()

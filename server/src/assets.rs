@@ -457,7 +457,7 @@ mod tests {
         assert_eq!(ball.mass, 0.001);
         assert_eq!(ball.body_from("top").translation.z, 0.01);
         world.wake(bodies["ball"]);
-        world.step();
+        world.advance();
         assert!(world.pose(bodies["ball"]).translation.z < start.translation.z);
         assert!((world.pose(bodies["step"]).translation.z - 0.01).abs() < 1e-8);
     }

@@ -29,19 +29,24 @@ use crate::error::StepError;
 use crate::render::Scene;
 use crate::sim::random::Rng;
 use crate::sim::world::World;
-use crate::tasks::AnyTask;
 use crate::tasks::options::{Domain, SCALED_LENGTH, SCALED_LENGTHS_PER_METRE};
 use crate::tasks::start::Starts;
+use crate::tasks::time::Time;
+use crate::tasks::{AnyTask, rate};
 
+mod drive;
 mod imaging;
+mod passing;
 mod rebuild;
 pub mod recording;
 #[cfg(test)]
 #[expect(clippy::float_cmp, reason = "these results are exact")]
 mod tests;
 
+pub use drive::Drive;
 pub(crate) use imaging::Imaging;
 pub use imaging::Pictures;
+use passing::Actuation;
 
 pub(crate) use rebuild::{Identity, Rebuild};
 
@@ -80,8 +85,14 @@ pub struct Env {
     /// The step after which an object was seen to be lost, and said to be.
     lost_at: Option<u32>,
     noise: Noise,
-    /// Steps that an action is on its way.
-    latency: usize,
+    /// Substeps of a step.
+    substeps: u32,
+    time: Time,
+    /// Substeps that an action is on its way.
+    latency: u32,
+    actuation: Actuation,
+    /// Whether the arms were driven from outside in this episode: then no actions lead to its state.
+    is_driven: bool,
     /// Actions on their way, the oldest first.
     delayed: VecDeque<f32>,
     command: Vec<f32>,
@@ -155,6 +166,7 @@ impl Env {
         let (action, observation, goal) =
             (spec.action_dim(), spec.observation_dim(), spec.goal_dim());
         Self {
+            substeps: rate::substeps(spec.seconds_per_step),
             spec: Arc::new(spec),
             beginning: if task.begins_prepared() {
                 Beginning::Starts(Arc::new(Starts::new(task.clone(), world.clone())))
@@ -172,7 +184,10 @@ impl Env {
             state: State::New,
             lost_at: None,
             noise: Noise { rng: Rng::new(0, 0), sigma: 0.0 },
+            time: Time::default(),
             latency: 0,
+            actuation: Actuation::none(),
+            is_driven: false,
             delayed: VecDeque::new(),
             command: vec![0.0; action],
             taken: vec![],
@@ -199,6 +214,7 @@ impl Env {
     pub fn scene(&self) -> Scene {
         let mut scene = Scene::default();
         self.task.scene(&self.world, &mut scene);
+        scene.add_others(&self.world);
         scene
     }
 
@@ -262,10 +278,14 @@ impl Env {
         self.task.reset(&mut self.world, &mut rng);
 
         let mut rng = Rng::sensor(self.seed, self.episode);
-        self.latency = self.domain.latency.draw_integer(&mut rng);
+        let late = self.domain.latency_seconds.draw(&mut rng.aside());
+        self.latency = self.domain.latency.draw_integer(&mut rng) as u32 * self.substeps
+            + rate::substeps(late);
         self.noise = Noise { sigma: self.domain.observation_noise.draw(&mut rng), rng };
+        self.actuation = Actuation::draw(&self.domain, self.seed, self.episode);
+        self.is_driven = false;
         self.delayed.clear();
-        self.delayed.reserve((self.latency + 1) * dim);
+        self.delayed.reserve((self.latency.div_ceil(self.substeps) as usize + 1) * dim);
     }
 
     /// Sets the seed whose first episode the next reset without a seed begins.
@@ -324,9 +344,7 @@ impl Env {
         self.check(action)?;
         self.take_down(action);
         self.pass_noise();
-        let arrived = self.delay(action);
-        let command = arrived.then_some(self.command.as_slice());
-        self.task.apply(&mut self.world, command);
+        self.pass(action, 1, &mut |_| {});
         self.steps += 1;
         self.seen.is_present = false;
         let shows_finite = self.look(observation, achieved, desired);
@@ -433,17 +451,6 @@ impl Env {
         if self.taken.len() + action.len() <= RECORDED {
             self.taken.extend(action.iter().map(|number| number.clamp(-1.0, 1.0)));
         }
-    }
-
-    /// Puts the command that takes effect now into `self.command`; false where none has arrived.
-    fn delay(&mut self, action: &[f32]) -> bool {
-        self.delayed.extend(action.iter().map(|number| number.clamp(-1.0, 1.0)));
-        let arrived = self.steps as usize >= self.latency;
-        if arrived {
-            self.command.clear();
-            self.command.extend(self.delayed.drain(..action.len()));
-        }
-        arrived
     }
 
     /// Writes what is seen now: with this episode's noise on positions, within the bounds. What is

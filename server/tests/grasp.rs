@@ -9,8 +9,8 @@ use nalgebra::{Point3, UnitQuaternion, Vector3};
 use trocar_server::assets::Model;
 use trocar_server::sim::frames::{self, Pose};
 use trocar_server::sim::instrument::{Instrument, JAW_CLOSED, JAW_OPEN, Posture, TIP_OFFSET};
+use trocar_server::sim::motion::carry_out;
 use trocar_server::sim::random::Rng;
-use trocar_server::sim::travel::travel;
 use trocar_server::sim::world::World;
 use trocar_server::tasks::options::{Domain, Preset};
 use trocar_server::tasks::psm_scene::WORKSPACE;
@@ -114,7 +114,7 @@ fn run(trial: Trial, seed: u64) -> Outcome {
     // It settles for a second.
     world.wake(thing);
     for _ in 0..5 * STEP {
-        world.step();
+        world.advance();
     }
     assert!(world.at_rest(), "it lies still");
 
@@ -137,7 +137,7 @@ fn run(trial: Trial, seed: u64) -> Outcome {
     arm.set_friction(&mut world, trial.friction);
     assert_eq!(world.joints().count(), 2, "the fingers' hinges");
     let go = |arm: &mut Instrument, world: &mut World, tip, yaw, jaw, steps: u32| {
-        travel([arm], world, [down(tip, yaw, jaw)], steps * STEP);
+        carry_out([arm], world, [down(tip, yaw, jaw)], steps * STEP);
         world.velocity(thing).norm()
     };
     go(&mut arm, &mut world, place, yaw, JAW_OPEN, 1);

@@ -11,8 +11,8 @@ use trocar_server::assets::Model;
 use trocar_server::sim::frames;
 use trocar_server::sim::grasp::{Grasp, GraspMode};
 use trocar_server::sim::instrument::{Instrument, JAW_CLOSED, JAW_OPEN, Posture, TIP_OFFSET};
+use trocar_server::sim::motion::carry_out;
 use trocar_server::sim::random::Rng;
-use trocar_server::sim::travel::travel;
 use trocar_server::tasks::options::{Domain, Preset};
 use trocar_server::tasks::tray::{self, Needle};
 
@@ -77,7 +77,7 @@ fn lifts(mode: GraspMode, off: [f64; 3], seed: u64) -> bool {
     let lift = (1..=4).map(|step| (0.01 * f64::from(step), JAW_CLOSED));
     for (rise, jaw) in way.into_iter().chain(lift).chain([(0.04, JAW_CLOSED); 2]) {
         grasp.command(&mut world, [&mut arm], [jaw < 0.5 * JAW_OPEN]);
-        travel([&mut arm], &mut world, [posture(rise, jaw)], STEP);
+        carry_out([&mut arm], &mut world, [posture(rise, jaw)], STEP);
         let risen = needle.scene_from_middle(&world).translation.z - rest;
         grasp.settle(&mut world, [&mut arm], risen > WELD_LIFT);
         if mode == GraspMode::Interact {

@@ -8,7 +8,7 @@ use nalgebra::{Matrix3, Point3, Vector3};
 use trocar_server::assets::Model;
 use trocar_server::sim::frames::{self, Pose};
 use trocar_server::sim::instrument::{Instrument, JAW_CLOSED, JAW_OPEN, Posture, TIP_OFFSET};
-use trocar_server::sim::travel::travel;
+use trocar_server::sim::motion::carry_out;
 use trocar_server::sim::world::{
     BodyId, GRAVITY, Motion, Part, SUBSTEPS_PER_SECOND, Shape, Solver, World,
 };
@@ -41,7 +41,7 @@ fn slab_on_plate(solver: Solver, slope: f64, friction: f64) -> (World, BodyId) {
 
 fn run(world: &mut World, seconds: f64) {
     for _ in 0..(seconds * SUBSTEPS_PER_SECOND) as u32 {
-        world.step();
+        world.advance();
     }
 }
 
@@ -54,7 +54,7 @@ fn what_is_dropped_falls_by_half_g_t_squared_at_every_substep() {
         let slab = world.insert(free, &start, 1.0, &[cuboid(SLAB)]);
         world.wake(slab);
         for substep in 1..=72 {
-            world.step();
+            world.advance();
             let time = f64::from(substep) / SUBSTEPS_PER_SECOND;
             let fallen = start.translation.z - world.pose(slab).translation.z;
             let expected = 0.5 * GRAVITY * time * time;
@@ -112,9 +112,9 @@ fn gripped_slab(mass: f64, squeeze: f64, friction: f64) -> (World, Instrument, B
     };
     let mut arm = Instrument::insert(&mut world, at(0.0, JAW_OPEN), squeeze);
     arm.set_friction(&mut world, friction);
-    travel([&mut arm], &mut world, [at(0.0, JAW_CLOSED)], 96);
+    carry_out([&mut arm], &mut world, [at(0.0, JAW_CLOSED)], 96);
     assert!(arm.holds(&world, slab));
-    travel([&mut arm], &mut world, [at(0.01, JAW_CLOSED)], 96);
+    carry_out([&mut arm], &mut world, [at(0.01, JAW_CLOSED)], 96);
     let normal = 0.5 * world.pressure(slab);
     (world, arm, slab, normal)
 }
@@ -140,8 +140,8 @@ fn gripped_staple(friction: f64) -> (World, Instrument, BodyId, f64) {
     };
     let mut arm = Instrument::insert(&mut world, at(0.05e-3, JAW_OPEN), 1.0);
     arm.set_friction(&mut world, friction);
-    travel([&mut arm], &mut world, [at(0.05e-3, JAW_CLOSED)], 96);
-    travel([&mut arm], &mut world, [at(0.03, JAW_CLOSED)], 96);
+    carry_out([&mut arm], &mut world, [at(0.05e-3, JAW_CLOSED)], 96);
+    carry_out([&mut arm], &mut world, [at(0.03, JAW_CLOSED)], 96);
     assert!(arm.holds(&world, staple));
     // Wires weigh by their length and about a radius more.
     (world, arm, staple, 2.0 * 15.5e-3 * 7.5e-3 / (2.0 * 15.5e-3 + 16.5e-3))
@@ -153,7 +153,7 @@ fn a_gripped_wire_does_not_swing() {
     let (here, before) = (*arm.posture(), world.pose(staple));
     let mut fastest: f64 = 0.0;
     for now in 0..240 {
-        travel([&mut arm], &mut world, [here], 1);
+        carry_out([&mut arm], &mut world, [here], 1);
         if now >= 24 {
             fastest = fastest.max(world.velocity(staple).norm());
         }
@@ -168,7 +168,7 @@ fn jaws_press_on_a_wire_as_hard_as_they_are_asked_to() {
     let (mut world, mut arm, _, _) = gripped_staple(1.0);
     let here = *arm.posture();
     for _ in 0..24 {
-        travel([&mut arm], &mut world, [here], 1);
+        carry_out([&mut arm], &mut world, [here], 1);
         let pressures = arm.pressures(&world);
         assert!(pressures.iter().all(|force| (force - 1.0).abs() < 0.15), "{pressures:?}");
     }
@@ -196,7 +196,7 @@ fn fingers_that_meet_a_post_sideways_do_not_turn_about_their_hinge() {
         for turn in [0.2, -0.3, 0.4] {
             let end = at(4e-3, turn * f64::from(way / 6 + 1) / 4.0);
             for _ in 0..12 {
-                travel([&mut arm], &mut world, [end], 1);
+                carry_out([&mut arm], &mut world, [end], 1);
                 most = most.max((arm.opening(&world) - JAW_OPEN).abs());
             }
         }
@@ -218,7 +218,7 @@ fn a_gripped_wire_rolls_where_friction_at_both_sides_cannot_stop_it() {
         world.pull(staple, &Vector3::new(0.0, 0.0, -pull));
         let mut most: f64 = 0.0;
         for _ in 0..24 {
-            travel([&mut arm], &mut world, [here], 1);
+            carry_out([&mut arm], &mut world, [here], 1);
             most = most.max(world.pose(staple).rotation.angle_to(&before.rotation));
         }
         most.to_degrees()
@@ -239,7 +239,7 @@ fn a_gripped_slab_slips_where_its_weight_exceeds_twice_friction_times_the_grip()
             let here = *arm.posture();
             for _ in 0..5 {
                 world.pull(slab, &Vector3::new(0.0, 0.0, -pull));
-                travel([&mut arm], &mut world, [here], 24);
+                carry_out([&mut arm], &mut world, [here], 24);
             }
             (before - world.pose(slab).translation.z > 1e-3, normal)
         };

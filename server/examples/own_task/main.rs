@@ -16,8 +16,9 @@ use trocar_server::sim::frames::{self, Aabb, Pose};
 use trocar_server::sim::instrument::{CLEARANCE, JAW_CLOSED, TIP_OFFSET};
 use trocar_server::sim::random::Rng;
 use trocar_server::sim::world::{BodyId, Solver, World};
+use trocar_server::tasks::Arms;
 use trocar_server::tasks::options::{self, Preset};
-use trocar_server::tasks::psm_scene::{PaperAction, PsmArm, SECONDS_PER_STEP, Station, Turn};
+use trocar_server::tasks::psm_scene::{PaperAction, PsmArm, Station, Turn};
 use trocar_server::{Registry, ServerConfig, StopSignal, Task, serve};
 
 /// Where cubes start, m: those of the whole range along x lie in front of the arm's start.
@@ -78,7 +79,7 @@ impl Task for PushCube {
             id: Self::ID.into(),
             summary: "Push a cube along a board to a goal.".into(),
             max_steps: 50,
-            seconds_per_step: SECONDS_PER_STEP,
+            seconds_per_step: self.arm.rate().seconds(),
             action: self.arm.action_elements(),
             observation: [self.arm.observation_elements(), cube.clone()].concat(),
             goal: Some(GoalSpec {
@@ -99,8 +100,12 @@ impl Task for PushCube {
         self.arm.reset(world, rng);
     }
 
-    fn apply(&mut self, world: &mut World, action: Option<&[f32]>) {
-        self.arm.apply(world, action);
+    fn command(&mut self, _: &mut World, action: Option<&[f32]>) {
+        self.arm.command(action);
+    }
+
+    fn arms(&mut self) -> Arms<'_> {
+        [&mut self.arm].into_iter().collect()
     }
 
     fn observe(

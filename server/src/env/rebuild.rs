@@ -12,6 +12,11 @@ impl Env {
     /// What led to the present state.
     pub(crate) fn recipe(&self) -> Result<Recipe, Rejection> {
         self.check_begun()?;
+        if self.is_driven {
+            let why =
+                "the arms were driven from outside; a state is exported where actions led to it";
+            return Err(Rejection::new(Code::Unsupported, "snapshot", "no actions", why));
+        }
         let dim = self.spec.action_dim();
         if self.taken.len() != self.steps as usize * dim {
             return Err(Rejection::new(

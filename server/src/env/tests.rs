@@ -41,7 +41,7 @@ impl Task for Fragile {
         self.0 = 0.0;
     }
 
-    fn apply(&mut self, _: &mut World, action: Option<&[f32]>) {
+    fn command(&mut self, _: &mut World, action: Option<&[f32]>) {
         self.0 = if action == Some(&[1.0]) { f32::NAN } else { 0.5 };
     }
 

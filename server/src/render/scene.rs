@@ -222,6 +222,17 @@ impl Scene {
         }
     }
 
+    /// Adds the bodies of a world that are not rigid.
+    pub fn add_others(&mut self, world: &World) {
+        for other in world.others() {
+            let skin = other.surface();
+            self.begin(skin.name);
+            let mesh = Mesh::new(&skin.vertices, &skin.normals, skin.triangles);
+            let material = Material::named("foam").coloured(skin.colour);
+            self.draw(Arc::new(mesh), Pose::identity(), material);
+        }
+    }
+
     /// Makes `region` (m) the stage, and lets the overview and the endoscope look at it.
     pub fn look_at(&mut self, region: &Aabb) {
         let (centre, size) = (region.centre(), 0.5 * region.extents().norm());

@@ -4,7 +4,7 @@
 //! motors drive the opening between them with no more than the grip's squeeze, and keep both about the
 //! middle of the wrist, as the real jaws' gearing and yaw joint do, with a limited torque too. Fingers
 //! that are locked are driven like the wrist, and nothing moves them. How instruments move is in
-//! [`travel`](super::travel).
+//! [`motion`](super::motion).
 //!
 //! What the grip is like is measured in `server/tests/mechanics.rs` and `server/tests/grasp.rs`: a finger
 //! presses with the squeeze that is asked for where that is defined, 1 mm from the tip (with 0.95 of it
@@ -87,7 +87,7 @@ impl Posture {
     }
 
     /// The way of the wrist from this posture (0) to another (1), and that of the jaw angle.
-    pub(super) fn towards(&self, end: &Self, wrist: f64, jaw: f64) -> Self {
+    pub fn towards(&self, end: &Self, wrist: f64, jaw: f64) -> Self {
         let world_from_wrist =
             frames::interpolate(&self.world_from_wrist, &end.world_from_wrist, wrist);
         Self { world_from_wrist, jaw: self.jaw + (end.jaw - self.jaw) * jaw }
@@ -441,7 +441,7 @@ fn clevis_ends() -> [Point3<f64>; 2] {
 #[expect(clippy::float_cmp, reason = "these results are exact")]
 mod tests {
     use super::*;
-    use crate::sim::travel::travel;
+    use crate::sim::motion::carry_out;
     use crate::sim::world::Solver;
 
     const SUBSTEPS: u32 = 48;
@@ -475,7 +475,7 @@ mod tests {
     }
 
     fn go(instrument: &mut Instrument, world: &mut World, end: Posture) -> f64 {
-        let [reached] = travel([instrument], world, [end], SUBSTEPS);
+        let [reached] = carry_out([instrument], world, [end], SUBSTEPS);
         reached
     }
 

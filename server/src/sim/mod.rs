@@ -5,7 +5,7 @@
 //! | [`frames`] | poses, Euler angles, boxes; conversion to the engine's numbers |
 //! | [`world`] | bodies, gravity, contacts, time |
 //! | [`instrument`] | wrist and jaws of an arm as bodies |
-//! | [`travel`] | how instruments move: smooth paths, yield, quiescence |
+//! | [`motion`] | how instruments move: profiles, what stops them, quiescence |
 //! | [`grasp`] | what holds an object in the jaws: friction, or a tie |
 //! | [`random`] | the named, portable generator of every episode |
 //!
@@ -14,6 +14,6 @@
 pub mod frames;
 pub mod grasp;
 pub mod instrument;
+pub mod motion;
 pub mod random;
-pub mod travel;
 pub mod world;

@@ -30,6 +30,13 @@ impl Rng {
         rng
     }
 
+    /// The generator of the same episode for what actuators do to commands, independent of the others.
+    pub fn actuator(seed: u64, episode: u64) -> Self {
+        let mut rng = Self::new(seed, episode);
+        rng.0.set_stream(3);
+        rng
+    }
+
     /// The generator with which the `index`-th prepared start is made, the same for every seed.
     pub fn start(index: u64) -> Self {
         let mut rng = Self::new(index, 0);

@@ -19,6 +19,7 @@ use super::frames::{self, Aabb, Pose, SCALE};
 mod contact;
 mod hinge;
 mod inertia;
+mod non_rigid;
 mod points;
 mod rolling;
 #[cfg(test)]
@@ -28,6 +29,7 @@ mod tie;
 pub use contact::{Contact, Overlap, Push};
 pub use hinge::{Hinge, HingedId};
 pub use inertia::Inertia;
+pub use non_rigid::{NonRigid, Surface};
 pub use tie::TieId;
 
 /// Acceleration of free fall, m/s².
@@ -179,6 +181,8 @@ pub struct World {
     multibody_joints: MultibodyJointSet,
     soft_bodies: SoftBodySet,
     free: Vec<RigidBodyHandle>,
+    /// The bodies that are not rigid.
+    others: Vec<Box<dyn NonRigid>>,
     /// Greatest speed of a free object in any substep, engine units.
     fastest: f32,
     fixed: Vec<RigidBodyHandle>,
@@ -241,6 +245,7 @@ impl World {
             multibody_joints: MultibodyJointSet::new(),
             soft_bodies: SoftBodySet::new(),
             free: Vec::new(),
+            others: Vec::new(),
             fastest: 0.0,
             fixed: Vec::new(),
             furniture: Vec::new(),
@@ -336,7 +341,8 @@ impl World {
     /// The engine moves a body by the speed it has at the *end* of each solver iteration. Where nothing
     /// touches it, half an iteration's gain in speed is therefore lent to it the other way round for the
     /// substep, which makes of it the leapfrog scheme: what falls, falls by ½·g·t².
-    pub fn step(&mut self) {
+    pub fn advance(&mut self) {
+        self.advance_others();
         let solver = if self.is_calm() { Solver::CALM } else { self.solver };
         self.parameters.num_solver_iterations = solver.iterations;
         self.parameters.contact_softness = solver.softness();
@@ -351,7 +357,7 @@ impl World {
             let body = &mut self.bodies[*body];
             body.set_linvel(body.linvel() + half_gain, false);
         }
-        self.advance();
+        self.step_engine();
         for body in &falling {
             let body = &mut self.bodies[*body];
             body.set_linvel(body.linvel() - half_gain, false);
@@ -380,7 +386,7 @@ impl World {
             && !parts.any(|part| self.narrow_phase.contact_pairs_with(*part).any(contact::presses))
     }
 
-    fn advance(&mut self) {
+    fn step_engine(&mut self) {
         self.workspace.pipeline.step(
             gravity(),
             &self.parameters,
@@ -476,14 +482,16 @@ impl World {
         f64::from(self.fastest) / SCALE
     }
 
-    /// Whether every free object sleeps: then nothing changes until something touches one.
+    /// Whether every free object, of whatever kind, rests: then nothing changes until something touches one.
     pub fn at_rest(&self) -> bool {
         self.free.iter().all(|body| self.bodies[*body].is_sleeping())
+            && self.others.iter().all(|other| other.at_rest())
     }
 
-    /// Whether the box of any part of a free object meets `region`.
+    /// Whether the box of any part of a free object, or of a body of another kind, meets `region`.
     pub fn object_in(&self, region: &Aabb) -> bool {
         self.free.iter().any(|body| self.boxes(*body).any(|part| region.meets(&part)))
+            || self.others.iter().any(|other| region.meets(&other.bounds()))
     }
 
     /// Whether the box of any part of a fixed body meets `region`.
@@ -513,15 +521,16 @@ impl World {
         })
     }
 
-    /// Positions and velocities of all free objects, as bits.
+    /// Positions and velocities of all free objects, as bits; then those of bodies of other kinds.
     pub fn bits(&self) -> impl Iterator<Item = u32> {
-        self.free.iter().flat_map(|body| {
+        let rigid = self.free.iter().flat_map(|body| {
             let body = &self.bodies[*body];
             let (turned, velocity, rate) = (body.rotation(), body.linvel(), body.angvel());
             let position = body.translation();
             let numbers = [position.to_array(), velocity.to_array(), rate.to_array()];
             turned.to_array().into_iter().chain(numbers.concat()).map(f32::to_bits)
-        })
+        });
+        rigid.chain(self.others.iter().flat_map(|other| other.bits()))
     }
 
     /// Whether positions and velocities of all free objects are finite numbers.
@@ -532,7 +541,7 @@ impl World {
                 && body.position().is_finite()
                 && body.linvel().is_finite()
                 && body.angvel().is_finite()
-        })
+        }) && self.others.iter().all(|other| other.is_finite())
     }
 }
 

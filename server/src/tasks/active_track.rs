@@ -94,7 +94,7 @@ use trocar_proto::{Options, Rejection, TaskSpec};
 
 use super::Task;
 use super::camera::Cube;
-use super::ecm_scene::{CAMERA_ANGLE, SECONDS_PER_STEP};
+use super::ecm_scene::{CAMERA_ANGLE, EcmArm, RATE};
 use super::options::{self, Preset};
 use super::path::{self, LAP, Path};
 use super::track::{Layout, Tracker};
@@ -126,8 +126,10 @@ pub struct ActiveTrack {
     tracker: Tracker,
     preset: Preset,
     path: Path,
-    /// Steps along the path since its beginning.
-    gone: usize,
+    /// The stop at which it started.
+    start: usize,
+    /// Steps since then.
+    steps: u32,
 }
 
 impl ActiveTrack {
@@ -150,6 +152,7 @@ impl Task for ActiveTrack {
             options::action(),
             options::observation_or_perceived(),
             options::preset(),
+            RATE.option(10.0),
             options::domain_with(options::camera_rows(CAMERA_ANGLE)),
             options::setup(&Tracker::setup_rows()),
         ]
@@ -158,7 +161,7 @@ impl Task for ActiveTrack {
     fn new(options: &Options) -> Result<(Self, World), Rejection> {
         let tracker = Tracker::new(options, &START, LAYOUT.target(&path::middle(), 0.0))?;
         let path = Path::draw(&mut Rng::new(0, 0));
-        let task = Self { tracker, preset: options::preset_of(options), path, gone: 0 };
+        let task = Self { tracker, preset: options::preset_of(options), path, start: 0, steps: 0 };
         Ok((task, World::new(Solver::HEAVY)))
     }
 
@@ -166,8 +169,8 @@ impl Task for ActiveTrack {
         TaskSpec {
             id: Self::ID.into(),
             summary: "Follow a moving cube with the endoscope.".into(),
-            max_steps: MAX_STEPS,
-            seconds_per_step: SECONDS_PER_STEP,
+            max_steps: self.tracker.rate().steps(MAX_STEPS),
+            seconds_per_step: self.tracker.rate().seconds(),
             action: self.tracker.action_elements(),
             observation: self.tracker.observation_elements(),
             goal: None,
@@ -183,20 +186,35 @@ impl Task for ActiveTrack {
         let yaw = rng.uniform(-TARGET_YAW, TARGET_YAW);
         let target = loop {
             self.path = Path::draw(rng);
-            let in_picture = |step: &usize| view.holds(&LAYOUT.target(&self.path.at(*step), yaw));
+            let in_picture =
+                |step: &usize| view.holds(&LAYOUT.target(&self.path.at(*step as f64), yaw));
             let starts: Vec<_> = (0..LAP).filter(in_picture).collect();
             if let Some(last) = starts.len().checked_sub(1) {
-                self.gone = starts[rng.index(last + 1)];
-                break LAYOUT.target(&self.path.at(self.gone), yaw);
+                (self.start, self.steps) = (starts[rng.index(last + 1)], 0);
+                break LAYOUT.target(&self.path.at(self.start as f64), yaw);
             }
         };
         let distractors = LAYOUT.distractors(self.path.stops(), rng);
         self.tracker.furnish(target, distractors);
     }
 
-    fn apply(&mut self, _: &mut World, action: Option<&[f32]>) {
-        self.gone += 1;
-        self.tracker.step(action, Some(self.path.at(self.gone)));
+    fn command(&mut self, _: &mut World, action: Option<&[f32]>) {
+        self.tracker.arm().command(action);
+    }
+
+    fn endoscope(&mut self) -> Option<&mut EcmArm> {
+        Some(self.tracker.arm())
+    }
+
+    fn after_step(&mut self, _: &mut World) {
+        self.steps += 1;
+        self.between(0.0);
+        self.tracker.look();
+    }
+
+    fn between(&mut self, part: f64) {
+        let laps = (f64::from(self.steps) + part) * self.tracker.rate().scale();
+        self.tracker.move_target(&self.path.at(self.start as f64 + laps));
     }
 
     fn observe(&self, _: &World, observation: &mut [f32], _: &mut [f32], _: &mut [f32]) {
@@ -228,6 +246,7 @@ mod tests {
     use trocar_proto::OptionValue;
 
     use super::*;
+    use crate::tasks::time;
 
     fn episode(options: &Options, seed: u64) -> (ActiveTrack, World) {
         let options = options.resolve(&ActiveTrack::options()).unwrap();
@@ -240,15 +259,15 @@ mod tests {
     fn the_target_goes_its_path_and_passes_through_no_other_cube() {
         for seed in 0..50 {
             let (mut task, mut world) = episode(&Options::new(), seed);
-            let start = task.gone;
+            let start = task.start;
             for step in 0..LAP {
                 let cubes: Vec<_> = task.cubes().map(|cube| cube.centre.coords.xy()).collect();
-                assert_eq!(cubes[0], task.path().at(start + step));
+                assert_eq!(cubes[0], task.path().at((start + step) as f64));
                 for other in &cubes[1..] {
                     // Corner to corner, two squares of 80 mm are 113.1 mm apart.
                     assert!((other - cubes[0]).norm() > 0.08 * 2f64.sqrt(), "{seed} {step}");
                 }
-                task.apply(&mut world, None);
+                time::step(&mut task, &mut world, None, RATE.substeps());
             }
         }
     }
@@ -270,8 +289,9 @@ mod tests {
             let (mut original, mut its_world) = episode(&surrol, seed);
             for step in 0..20 {
                 let action = [1.0, -1.0, 0.5].map(|number: f32| number * (step % 3) as f32 * 0.5);
-                task.apply(&mut world, Some(&action));
-                original.apply(&mut its_world, Some(&action.map(|number| -number)));
+                time::step(&mut task, &mut world, Some(&action), RATE.substeps());
+                let action = action.map(|number| -number);
+                time::step(&mut original, &mut its_world, Some(&action), RATE.substeps());
                 let error = task.tracker.sighting().point.norm();
                 let angle = task.tracker.misorientation().abs();
                 let reward = 1.0 - (error + 0.1 * angle);
@@ -288,7 +308,7 @@ mod tests {
         for seed in 0..50 {
             let (mut task, mut world) = episode(&Options::new(), seed);
             for _ in 0..LAP {
-                task.apply(&mut world, None);
+                time::step(&mut task, &mut world, None, RATE.substeps());
                 let centre = task.tracker.sighting().point;
                 if task.terminated(&world) {
                     // Its centre is beside the picture by less than its half diagonal and a step.
@@ -326,7 +346,7 @@ mod tests {
                 let (mut task, mut world) = episode(&options, seed);
                 for step in 0..MAX_STEPS {
                     task.expert(&world, &mut action);
-                    task.apply(&mut world, Some(&action));
+                    time::step(&mut task, &mut world, Some(&action), RATE.substeps());
                     assert!(
                         !task.terminated(&world),
                         "{options:?} {seed}: lost after {step} steps"

@@ -112,16 +112,16 @@ use trocar_proto::goal::Reward;
 use trocar_proto::spec::OptionSpec;
 use trocar_proto::{Options, Rejection, Stage, TaskSpec};
 
-use super::Task;
 use super::bimanual::{self, HandOver, Phase, Waypoint};
 use super::objects;
 use super::options::{self, Preset};
 use super::peg_board::{Block, Layout, PegBoard};
 use super::peg_expert::{self, Transfer};
-use super::psm_scene::{self, MAX_STEPS, PaperAction, PsmArm, SECONDS_PER_STEP, Station, Turn};
+use super::psm_scene::{self, MAX_STEPS, PaperAction, PsmArm, Station, Turn};
 use super::start::{self, Start};
 use super::theatre;
 use super::tray;
+use super::{Arms, Task};
 use crate::render::Scene;
 use crate::sim::frames::{Aabb, Pose};
 use crate::sim::grasp::{Grasp, GraspMode};
@@ -211,8 +211,8 @@ impl Task for BiPegTransfer {
         TaskSpec {
             id: Self::ID.into(),
             summary: "Take a block to the other arm, which puts it onto a peg.".into(),
-            max_steps: MAX_STEPS,
-            seconds_per_step: SECONDS_PER_STEP,
+            max_steps: one.rate().steps(MAX_STEPS),
+            seconds_per_step: one.rate().seconds(),
             action: bimanual::action_elements([one, two]),
             observation: bimanual::observation_elements([one, two], "block", walls, self.preset),
             goal: Some(PegBoard::goal_spec(self.preset)),
@@ -240,14 +240,20 @@ impl Task for BiPegTransfer {
         }
     }
 
-    fn apply(&mut self, world: &mut World, action: Option<&[f32]>) {
+    fn command(&mut self, world: &mut World, action: Option<&[f32]>) {
+        psm_scene::command(self.arms.each_mut(), world, &mut self.grasp, action);
+    }
+
+    fn arms(&mut self) -> Arms<'_> {
+        self.arms.each_mut().into()
+    }
+
+    fn after_step(&mut self, world: &mut World) {
         let Layout { block, target } = self.layout;
-        let lifted = PegBoard::peg(target).z + WELD_LIFT;
-        let [one, two] = &mut self.arms;
-        psm_scene::step([one, two], world, &mut self.grasp, action, |world| {
-            world.pose(block.body()).translation.z > lifted
-        });
-        let arms = [&*one, &*two];
+        let height = world.pose(block.body()).translation.z;
+        let is_lifted = height > PegBoard::peg(target).z + WELD_LIFT;
+        psm_scene::settle(self.arms.each_mut(), world, &mut self.grasp, is_lifted);
+        let arms = self.arms.each_ref();
         self.together = bimanual::holding_together(arms, world, block.body(), self.together);
     }
 
@@ -387,7 +393,7 @@ mod tests {
     use crate::tasks::bimanual::tests::{Watched, act_as_expert, count};
 
     impl Watched for BiPegTransfer {
-        fn arms(&self) -> &[PsmArm; 2] {
+        fn both(&self) -> &[PsmArm; 2] {
             &self.arms
         }
 

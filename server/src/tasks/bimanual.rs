@@ -217,7 +217,7 @@ pub fn act(arms: [&PsmArm; 2], waypoints: &[Waypoint; 2], action: &mut [f32]) {
     let count = action.len() / arms.len();
     let parts = action.chunks_exact_mut(count);
     for ((arm, (target, jaw)), part) in arms.into_iter().zip(waypoints).zip(parts) {
-        arm.encode(&step_towards(arm.scene_from_wrist(), target), *jaw, part);
+        arm.encode(&step_towards(arm, target), *jaw, part);
     }
 }
 
@@ -238,7 +238,8 @@ pub(super) mod tests {
     use crate::tasks::Task;
     use crate::tasks::bi_peg_transfer::BiPegTransfer;
     use crate::tasks::needle_regrasp::NeedleRegrasp;
-    use crate::tasks::psm_scene::MAX_STEPS;
+    use crate::tasks::psm_scene::{MAX_STEPS, RATE};
+    use crate::tasks::time;
     use trocar_proto::Options;
 
     /// How far shafts may overlap that pushed against each other, m: what they move in a substep.
@@ -246,7 +247,7 @@ pub(super) mod tests {
 
     /// A task whose arms and object tests look at.
     pub(in crate::tasks) trait Watched: Task {
-        fn arms(&self) -> &[PsmArm; 2];
+        fn both(&self) -> &[PsmArm; 2];
         fn object(&self) -> BodyId;
     }
 
@@ -258,10 +259,10 @@ pub(super) mod tests {
     /// Lets a step pass, in which nothing is tied and no arm passes through the other.
     pub(in crate::tasks) fn act<T: Watched>(task: &mut T, world: &mut World, action: &[f32]) {
         let action: Vec<_> = action.iter().map(|number| number.clamp(-1.0, 1.0)).collect();
-        Task::apply(task, world, Some(&action));
+        time::step(task, world, Some(&action), RATE.substeps());
         let is_tied = world.joints().flatten().any(|body| body == task.object());
         assert!(!is_tied, "friction, and nothing else");
-        let [one, two] = task.arms();
+        let [one, two] = task.both();
         assert!(one.gap(two) > -TOUCHING, "{} m", one.gap(two));
     }
 
@@ -286,7 +287,7 @@ pub(super) mod tests {
             // At the same height first, then at random.
             for step in 0..MAX_STEPS {
                 let mut action: Vec<_> = (0..10).map(|_| rng.uniform(-1.0, 1.0) as f32).collect();
-                let [one, two] = task.arms().each_ref().map(|arm| *arm.scene_from_wrist());
+                let [one, two] = task.both().each_ref().map(|arm| *arm.scene_from_wrist());
                 let off = two.translation.vector - one.translation.vector;
                 for axis in [0, 2] {
                     let towards = (off[axis] / 0.01) as f32;
@@ -294,7 +295,7 @@ pub(super) mod tests {
                 }
                 (action[1], action[6]) = (-1.0, 1.0);
                 act(&mut task, &mut world, &action);
-                let [one, two] = task.arms();
+                let [one, two] = task.both();
                 nearest = nearest.min(one.gap(two));
             }
         }

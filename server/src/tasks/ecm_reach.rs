@@ -77,7 +77,7 @@ use trocar_proto::spec::{GoalSpec, OptionSpec};
 use trocar_proto::{Options, Rejection, TaskSpec};
 
 use super::Task;
-use super::ecm_scene::{Control, EcmArm, SECONDS_PER_STEP, STEP_LENGTH};
+use super::ecm_scene::{Control, EcmArm, RATE, STEP_LENGTH};
 use super::options::{self, Preset};
 use crate::render::Scene;
 use crate::sim::frames::Aabb;
@@ -121,6 +121,7 @@ impl Task for EcmReach {
             options::action(),
             options::observation(),
             options::preset(),
+            RATE.option(5.0),
             options::domain_with([camera_position]),
             options::setup(&EcmArm::setup_rows()),
         ]
@@ -145,8 +146,8 @@ impl Task for EcmReach {
         TaskSpec {
             id: Self::ID.into(),
             summary: "Move the endoscope to a position.".into(),
-            max_steps: MAX_STEPS,
-            seconds_per_step: SECONDS_PER_STEP,
+            max_steps: self.arm.rate().steps(MAX_STEPS),
+            seconds_per_step: self.arm.rate().seconds(),
             action: self.arm.action_elements(),
             observation: self.arm.observation_elements(),
             goal: Some(GoalSpec {
@@ -170,8 +171,12 @@ impl Task for EcmReach {
         self.arm.reset(rng);
     }
 
-    fn apply(&mut self, _: &mut World, action: Option<&[f32]>) {
-        self.arm.apply(action);
+    fn command(&mut self, _: &mut World, action: Option<&[f32]>) {
+        self.arm.command(action);
+    }
+
+    fn endoscope(&mut self) -> Option<&mut EcmArm> {
+        Some(&mut self.arm)
     }
 
     fn observe(
@@ -196,8 +201,9 @@ impl Task for EcmReach {
 
     fn expert(&self, _: &World, action: &mut [f32]) {
         let camera = self.arm.world_from_camera().translation.vector;
-        let error = self.arm.in_rcm(&(self.goal - camera)) / STEP_LENGTH;
-        let step = error * (EXPERT_SPEED * STEP_LENGTH / error.amax().max(1.0));
+        let length = STEP_LENGTH * self.arm.rate().scale();
+        let error = self.arm.in_rcm(&(self.goal - camera)) / length;
+        let step = error * (EXPERT_SPEED * length / error.amax().max(1.0));
         self.arm.encode(&step, 0.0, action);
     }
 }

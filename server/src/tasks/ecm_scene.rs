@@ -44,14 +44,15 @@ use trocar_proto::{Options, Rejection};
 
 use super::camera;
 use super::options::{self, ActionMode, Domain, Preset};
+use super::rate::Rate;
 use super::theatre;
 use crate::render::{Scene, Viewpoint};
 use crate::robots::Ecm;
 use crate::sim::frames::{self, Aabb, Pose};
 use crate::sim::random::Rng;
 
-/// Simulated time of one step, s.
-pub const SECONDS_PER_STEP: f64 = 0.1;
+/// How often the tasks are commanded for which numbers below are those of a step, 10 Hz.
+pub const RATE: Rate = Rate::nominal(10.0);
 
 /// Movement that 1.0 in an action stands for, m. Source: the original.
 pub const STEP_LENGTH: f64 = 0.01;
@@ -66,8 +67,11 @@ const CAMERA_SPEED: f64 = 0.005;
 /// How far ahead of the lens the point is whose velocity an action sets, m. Source: the original.
 const TIP_OFFSET: f64 = 0.02;
 
-/// Turn across the optical axis that 1.0 in a camera velocity makes in a step, rad.
-pub const STEP_TURN: f64 = CAMERA_SPEED / TIP_OFFSET * SECONDS_PER_STEP;
+/// Turn across the optical axis that 1.0 in a camera velocity makes in a step at [`RATE`], rad.
+pub const STEP_TURN: f64 = CAMERA_SPEED / TIP_OFFSET * STEP;
+
+/// A step's time at [`RATE`], s.
+const STEP: f64 = 0.1;
 
 /// Joint movements that 1.0 stands for, rad; index 2 in m.
 const JOINT_STEPS: [f64; 4] = [0.06, 0.06, 0.01, STEP_ROLL];
@@ -120,6 +124,11 @@ pub struct EcmArm {
     camera_error: Option<Pose>,
     /// The camera as the joint sensors report it, in the nominal RCM frame.
     rcm_from_camera: Pose,
+    rate: Rate,
+    /// Where the latest command moves the joints, as the sensors report them: from, to.
+    way: [[f64; 4]; 2],
+    /// What the actuators add to the next command: along the insertion, m, and about each rotary joint, rad.
+    disturbance: Option<[f64; 4]>,
 }
 
 impl EcmArm {
@@ -155,6 +164,9 @@ impl EcmArm {
             offsets: [0.0; 4],
             camera_error: None,
             rcm_from_camera: Pose::identity(),
+            rate: RATE.of(options),
+            way: [[0.0; 4]; 2],
+            disturbance: None,
         })
     }
 
@@ -178,6 +190,7 @@ impl EcmArm {
         }
         self.camera_error = self.domain.draw_camera_error(rng);
         self.joints = self.start;
+        self.way = [self.start; 2];
         self.rcm_from_camera = self.sensed(&self.joints);
     }
 
@@ -242,10 +255,36 @@ impl EcmArm {
         self.world_from_nominal.inverse_transform_vector(vector)
     }
 
-    /// Moves the arm for one step under an action of its mode; it holds where there is none.
-    pub fn apply(&mut self, action: Option<&[f32]>) {
-        let Some(action) = action else { return };
-        if let Some(joints) = self.decode(action) {
+    /// How often the arm is commanded.
+    pub fn rate(&self) -> Rate {
+        self.rate
+    }
+
+    /// Lets the actuators add this to the next command's joints, rad; index 2 in m.
+    pub fn disturb(&mut self, joints: [f64; 4]) {
+        self.disturbance = Some(joints);
+    }
+
+    /// Takes a command: an action of the arm's mode, or none, for the arm to hold.
+    pub fn command(&mut self, action: Option<&[f32]>) {
+        let mut end = action.and_then(|action| self.decode(action)).unwrap_or(self.joints);
+        if let Some(added) = self.disturbance.take() {
+            let limits = self.kinematics.limits();
+            end = std::array::from_fn(|joint| limits[joint].clamp(end[joint] + added[joint]));
+        }
+        self.way = [self.joints, end];
+    }
+
+    /// Brings the arm to where it is after a `part`, 0 to 1, of the time that it has for its latest command: each
+    /// joint moves evenly.
+    pub fn glide(&mut self, part: f64) {
+        let [start, end] = self.way;
+        let joints = if part < 1.0 {
+            std::array::from_fn(|joint| start[joint] + (end[joint] - start[joint]) * part)
+        } else {
+            end
+        };
+        if joints != self.joints {
             self.joints = joints;
             self.rcm_from_camera = self.sensed(&self.joints);
         }
@@ -254,8 +293,9 @@ impl EcmArm {
     /// The action that moves the sensed camera by `step` (m, RCM frame) and the roll joint by
     /// `turn` (rad), as far as its mode can.
     pub fn encode(&self, step: &Vector3<f64>, turn: f64, action: &mut [f32]) {
-        let d = step / STEP_LENGTH;
-        let roll = turn / STEP_ROLL;
+        let scale = self.rate.scale();
+        let d = step / (STEP_LENGTH * scale);
+        let roll = turn / (STEP_ROLL * scale);
         let numbers = match (self.mode, self.control) {
             (ActionMode::Paper, Control::Roll) => [roll, 0.0, 0.0, 0.0],
             (ActionMode::Paper | ActionMode::Cartesian, _) => [d.x, d.y, d.z, roll],
@@ -268,7 +308,7 @@ impl EcmArm {
             (ActionMode::Joint, _) => {
                 let joints = self.moved(step, self.joints[3] + turn).unwrap_or(self.joints);
                 std::array::from_fn(|joint| {
-                    (joints[joint] - self.joints[joint]) / JOINT_STEPS[joint]
+                    (joints[joint] - self.joints[joint]) / (JOINT_STEPS[joint] * scale)
                 })
             }
         };
@@ -339,12 +379,14 @@ impl EcmArm {
         let number = |index: usize| f64::from(action.get(index).copied().unwrap_or_default());
         let vector = Vector3::new(number(0), number(1), number(2));
         let limits = self.kinematics.limits();
+        let scale = self.rate.scale();
+        let (length, most_roll) = (STEP_LENGTH * scale, STEP_ROLL * scale);
         let roll_to = |roll: f64| roll.clamp(limits[3].min, limits[3].max);
         let roll = self.joints[3];
         let mode = match (self.mode, self.control) {
             (ActionMode::Paper, Control::Roll) => {
                 let [yaw, pitch, insertion, roll] = self.joints;
-                return Some([yaw, pitch, insertion, roll_to(roll + number(0) * STEP_ROLL)]);
+                return Some([yaw, pitch, insertion, roll_to(roll + number(0) * most_roll)]);
             }
             (ActionMode::Paper, Control::Velocity) => {
                 return Some(self.steered(&(vector * self.velocity_sign())));
@@ -352,20 +394,20 @@ impl EcmArm {
             (mode, _) => mode,
         };
         match mode {
-            ActionMode::Paper => self.moved(&(vector * STEP_LENGTH), roll),
+            ActionMode::Paper => self.moved(&(vector * length), roll),
             ActionMode::Cartesian => {
-                self.moved(&(vector * STEP_LENGTH), roll_to(roll + number(3) * STEP_ROLL))
+                self.moved(&(vector * length), roll_to(roll + number(3) * most_roll))
             }
             ActionMode::CartesianAbs => {
                 let half = (POSITIONS.max - POSITIONS.min) * 0.5;
                 let target = POSITIONS.centre() + vector.component_mul(&half);
                 let step = target - self.rcm_from_camera.translation.vector;
-                let step = step / (step.amax() / STEP_LENGTH).max(1.0);
-                let turn = (number(3) * FRAC_PI_2 - roll).clamp(-STEP_ROLL, STEP_ROLL);
+                let step = step / (step.amax() / length).max(1.0);
+                let turn = (number(3) * FRAC_PI_2 - roll).clamp(-most_roll, most_roll);
                 self.moved(&step, roll_to(roll + turn))
             }
             ActionMode::Joint => Some(std::array::from_fn(|joint| {
-                let wanted = self.joints[joint] + number(joint) * JOINT_STEPS[joint];
+                let wanted = self.joints[joint] + number(joint) * (JOINT_STEPS[joint] * scale);
                 wanted.clamp(limits[joint].min, limits[joint].max)
             })),
         }
@@ -380,9 +422,11 @@ impl EcmArm {
     /// The joints after a step with the camera's `velocity`, parts of [`CAMERA_SPEED`] along its
     /// image axes, and the turn about the optical axis that takes the misorientation away.
     fn steered(&self, velocity: &Vector3<f64>) -> [f64; 4] {
-        let across = velocity * STEP_TURN;
-        let forward = velocity.z * CAMERA_SPEED * SECONDS_PER_STEP;
-        let roll = self.sensed_misorientation().clamp(-STEP_ROLL, STEP_ROLL);
+        let scale = self.rate.scale();
+        let across = velocity * (STEP_TURN * scale);
+        let forward = velocity.z * CAMERA_SPEED * (STEP * scale);
+        let most_roll = STEP_ROLL * scale;
+        let roll = (self.sensed_misorientation() * scale).clamp(-most_roll, most_roll);
         // The camera frame's x and y axes are the image axes left and up.
         let base_from_camera = self.kinematics.base_from_camera(&self.joints).rotation;
         let linear = base_from_camera * Vector3::new(0.0, 0.0, forward);
@@ -447,6 +491,12 @@ mod tests {
         arm
     }
 
+    /// Lets a step pass under `action`.
+    fn pass(arm: &mut EcmArm, action: &[f32]) {
+        arm.command(Some(action));
+        arm.glide(1.0);
+    }
+
     #[test]
     fn the_arm_stands_where_the_originals_does() {
         let arm = arm(&Options::new(), Control::Position);
@@ -469,7 +519,7 @@ mod tests {
             let mut action = vec![0.0; arm.action_elements().len()];
             arm.encode(&step, 0.0, &mut action);
             assert!(action.iter().all(|number| number.abs() <= 1.0), "{mode}: {action:?}");
-            arm.apply(Some(&action));
+            pass(&mut arm, &action);
             let off = arm.rcm_from_camera.translation.vector - before - step;
             assert!(off.norm() < 1e-7, "{mode}: {off}");
         }
@@ -479,14 +529,14 @@ mod tests {
     fn an_unreachable_position_leaves_the_arm_where_it_is() {
         let mut arm = arm(&Options::new(), Control::Position);
         for _ in 0..100 {
-            arm.apply(Some(&[0.0, 0.0, 1.0]));
+            pass(&mut arm, &[0.0, 0.0, 1.0]);
         }
         let stopped = arm.joints;
-        arm.apply(Some(&[0.0, 0.0, 1.0]));
+        pass(&mut arm, &[0.0, 0.0, 1.0]);
         assert_eq!(arm.joints, stopped);
         let limits = arm.kinematics.limits();
         assert!(arm.joints.iter().zip(limits).all(|(q, l)| l.min <= *q && *q <= l.max));
-        arm.apply(Some(&[0.0, 0.0, -1.0]));
+        pass(&mut arm, &[0.0, 0.0, -1.0]);
         assert!(arm.joints != stopped);
     }
 
@@ -496,7 +546,7 @@ mod tests {
             let mut arm = arm(&Options::new(), Control::Velocity);
             let target = arm.world_from_camera() * Point3::new(0.0, 0.0, 0.9);
             for step in 1..=10 {
-                arm.apply(Some(&velocity));
+                pass(&mut arm, &velocity);
                 let seen = arm.world_from_camera().inverse_transform_point(&target);
                 // What was in the middle moves to the other side, by 25 mrad a step less what the
                 // arm makes of a turn about the lens by turning about its remote centre.
@@ -517,7 +567,7 @@ mod tests {
         let start = arm.joints;
         let mut before = arm.misorientation().abs();
         for step in 1..=10 {
-            arm.apply(Some(&[0.0, 0.0, 1.0]));
+            pass(&mut arm, &[0.0, 0.0, 1.0]);
             let on = arm.joints[2] - start[2];
             assert!((on - 0.5e-3 * f64::from(step)).abs() < 1e-9, "{on}");
             let now = arm.misorientation().abs();
@@ -533,7 +583,7 @@ mod tests {
         for _ in 0..40 {
             let action: [f32; 3] = std::array::from_fn(|_| rng.uniform(-1.0, 1.0).signum() as f32);
             for _ in 0..100 {
-                arm.apply(Some(&action));
+                pass(&mut arm, &action);
                 let limits = arm.kinematics.limits();
                 assert!(arm.joints.iter().zip(limits).all(|(q, limit)| limit.contains(*q)));
             }
@@ -545,8 +595,8 @@ mod tests {
         let surrol = Options::new().with_text("preset", "surrol");
         let [mut here, mut there] =
             [Options::new(), surrol].map(|options| arm(&options, Control::Velocity));
-        here.apply(Some(&[0.5, -1.0, 0.25]));
-        there.apply(Some(&[-0.5, 1.0, -0.25]));
+        pass(&mut here, &[0.5, -1.0, 0.25]);
+        pass(&mut there, &[-0.5, 1.0, -0.25]);
         assert_eq!(here.joints, there.joints);
     }
 }

@@ -146,7 +146,7 @@ mod tests {
             world.place(gauze.body(), &pose);
             world.wake(gauze.body());
             for _ in 0..480 {
-                world.step();
+                world.advance();
             }
             assert!(world.at_rest());
             let sunk = floor() - Model::gauze().aabb(&world.pose(gauze.body())).min.z;
@@ -165,7 +165,7 @@ mod tests {
                 let laid = world.pose(gauze.body());
                 world.wake(gauze.body());
                 for _ in 0..240 {
-                    world.step();
+                    world.advance();
                 }
                 assert!(world.at_rest(), "it falls asleep again");
                 let moved = world.pose(gauze.body()).inv_mul(&laid);

@@ -101,16 +101,14 @@ use trocar_proto::goal::Reward;
 use trocar_proto::spec::OptionSpec;
 use trocar_proto::{Options, Rejection, Stage, TaskSpec};
 
-use super::Task;
 use super::gauze::{self, Gauze};
 use super::objects;
 use super::options::{self, Preset};
 use super::pick::Pick;
-use super::psm_scene::{
-    self, MAX_STEPS, PaperAction, PsmArm, SECONDS_PER_STEP, Station, Turn, WORKSPACE,
-};
+use super::psm_scene::{self, MAX_STEPS, PaperAction, PsmArm, Station, Turn, WORKSPACE};
 use super::start::{self, Start};
 use super::theatre;
+use super::{Arms, Task};
 use crate::render::Scene;
 use crate::sim::frames::Pose;
 use crate::sim::grasp::Grasp;
@@ -182,8 +180,8 @@ impl Task for GauzeRetrieve {
         TaskSpec {
             id: Self::ID.into(),
             summary: "Pick up a gauze and bring its middle to a point.".into(),
-            max_steps: MAX_STEPS,
-            seconds_per_step: SECONDS_PER_STEP,
+            max_steps: self.arm.rate().steps(MAX_STEPS),
+            seconds_per_step: self.arm.rate().seconds(),
             action: self.arm.action_elements(),
             observation,
             goal: Some(objects::goal_spec("gauze", self.preset)),
@@ -211,11 +209,18 @@ impl Task for GauzeRetrieve {
         }
     }
 
-    fn apply(&mut self, world: &mut World, action: Option<&[f32]>) {
-        let gauze = self.gauze.body();
-        psm_scene::step([&mut self.arm], world, &mut self.grasp, action, |world| {
-            world.pose(gauze).translation.z > gauze::floor() + WELD_LIFT
-        });
+    fn command(&mut self, world: &mut World, action: Option<&[f32]>) {
+        psm_scene::command([&mut self.arm], world, &mut self.grasp, action);
+    }
+
+    fn arms(&mut self) -> Arms<'_> {
+        [&mut self.arm].into_iter().collect()
+    }
+
+    fn after_step(&mut self, world: &mut World) {
+        let height = world.pose(self.gauze.body()).translation.z;
+        let is_lifted = height > gauze::floor() + WELD_LIFT;
+        psm_scene::settle([&mut self.arm], world, &mut self.grasp, is_lifted);
     }
 
     fn observe(

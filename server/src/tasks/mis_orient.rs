@@ -87,9 +87,7 @@ use trocar_proto::spec::{GoalSpec, OptionSpec};
 use trocar_proto::{Options, Rejection, TaskSpec};
 
 use super::Task;
-use super::ecm_scene::{
-    CAMERA_ANGLE, Control, EcmArm, SECONDS_PER_STEP, STEP_ROLL, misorientation_element,
-};
+use super::ecm_scene::{CAMERA_ANGLE, Control, EcmArm, RATE, STEP_ROLL, misorientation_element};
 use super::options;
 use crate::render::Scene;
 use crate::sim::random::Rng;
@@ -127,6 +125,7 @@ impl Task for MisOrient {
             options::action(),
             options::observation(),
             options::preset(),
+            RATE.option(5.0),
             options::domain_with(options::camera_rows(CAMERA_ANGLE)),
             options::setup(&EcmArm::setup_rows()),
         ]
@@ -149,8 +148,8 @@ impl Task for MisOrient {
         TaskSpec {
             id: Self::ID.into(),
             summary: "Roll the endoscope until its picture is level.".into(),
-            max_steps: MAX_STEPS,
-            seconds_per_step: SECONDS_PER_STEP,
+            max_steps: self.arm.rate().steps(MAX_STEPS),
+            seconds_per_step: self.arm.rate().seconds(),
             action: self.arm.action_elements(),
             observation,
             goal: Some(GoalSpec {
@@ -176,8 +175,12 @@ impl Task for MisOrient {
         }
     }
 
-    fn apply(&mut self, _: &mut World, action: Option<&[f32]>) {
-        self.arm.apply(action);
+    fn command(&mut self, _: &mut World, action: Option<&[f32]>) {
+        self.arm.command(action);
+    }
+
+    fn endoscope(&mut self) -> Option<&mut EcmArm> {
+        Some(&mut self.arm)
     }
 
     fn observe(
@@ -200,7 +203,8 @@ impl Task for MisOrient {
     }
 
     fn expert(&self, _: &World, action: &mut [f32]) {
-        let turn = self.arm.misorientation().clamp(-STEP_ROLL, STEP_ROLL);
+        let most = STEP_ROLL * self.arm.rate().scale();
+        let turn = self.arm.misorientation().clamp(-most, most);
         self.arm.encode(&Vector3::zeros(), turn, action);
     }
 }
@@ -208,6 +212,7 @@ impl Task for MisOrient {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::tasks::time;
 
     #[test]
     fn every_start_is_misoriented_by_what_the_roll_joint_can_take_away() {
@@ -221,7 +226,7 @@ mod tests {
             farthest = farthest.max(steps);
             for _ in 0..steps as u32 {
                 task.expert(&world, &mut action);
-                task.apply(&mut world, Some(&action));
+                time::step(&mut task, &mut world, Some(&action), RATE.substeps());
             }
             let left = task.arm.misorientation();
             assert!(left.abs() < 1e-6, "{seed}: {left} of {start}");

@@ -15,12 +15,16 @@
 //!
 //! A task of one's own implements [`Task`] and is added by [`Registry::register`].
 
+use arrayvec::ArrayVec;
 use trocar_proto::spec::OptionSpec;
 use trocar_proto::{Code, Options, Rejection, Stage, TaskSpec};
 
+use self::ecm_scene::EcmArm;
+use self::psm_scene::PsmArm;
 use crate::env::{Env, Imaging};
 use crate::render::Scene;
 use crate::sim::frames::Aabb;
+use crate::sim::motion::MAX_INSTRUMENTS;
 use crate::sim::random::Rng;
 use crate::sim::world::World;
 
@@ -45,14 +49,19 @@ pub mod peg_transfer;
 pub mod perception;
 pub mod pick;
 pub mod psm_scene;
+pub mod rate;
 pub mod start;
 pub mod static_track;
 pub mod theatre;
+pub(crate) mod time;
 pub mod track;
 pub mod tray;
 
-/// A task: what it looks like from outside, how an episode begins, what an action does, what is
-/// seen. Counting steps, the time limit, checking actions, goal rewards and randomisation that is
+/// The instrument arms of a task.
+pub type Arms<'a> = ArrayVec<&'a mut PsmArm, MAX_INSTRUMENTS>;
+
+/// A task: what it looks like from outside, how an episode begins, what an action asks for, what is
+/// seen. Letting time pass, counting steps, the time limit, checking actions, goal rewards and randomisation that is
 /// the same for every task are [`Env`]'s.
 pub trait Task: Clone + Send + Sync + 'static {
     /// Name with version, e.g. `NeedleReach-v0`.
@@ -82,9 +91,30 @@ pub trait Task: Clone + Send + Sync + 'static {
     /// Begins an episode in a copy of the world, or in one of the prepared states.
     fn reset(&mut self, world: &mut World, rng: &mut Rng);
 
-    /// Lets one step pass under `action`, numbers in [−1, 1]; `None` where no command has arrived
-    /// yet: then the arms hold.
-    fn apply(&mut self, world: &mut World, action: Option<&[f32]>);
+    /// Takes a command, numbers in [−1, 1]: says where the arms are to go, and lets no time pass. `None` where
+    /// no command has arrived yet: then the arms hold.
+    fn command(&mut self, world: &mut World, action: Option<&[f32]>);
+
+    /// The instrument arms, which the environment moves along their profiles.
+    fn arms(&mut self) -> Arms<'_> {
+        Arms::new()
+    }
+
+    /// The endoscope's arm, which the environment moves.
+    fn endoscope(&mut self) -> Option<&mut EcmArm> {
+        None
+    }
+
+    /// Takes note of what a step has brought, before it is observed.
+    fn after_step(&mut self, world: &mut World) {
+        let _ = world;
+    }
+
+    /// Brings what moves by itself to where it is after a `part`, 0 to 1, of the step to come. Pictures
+    /// between steps are taken so, of a copy.
+    fn between(&mut self, part: f64) {
+        let _ = part;
+    }
 
     /// Writes observation, achieved and desired goal, of the specification's dimensions.
     fn observe(
@@ -243,6 +273,7 @@ fn first_scene(task: &dyn AnyTask, world: &World) -> Scene {
     }
     let mut scene = Scene::default();
     task.scene(&world, &mut scene);
+    scene.add_others(&world);
     scene
 }
 
@@ -252,7 +283,11 @@ pub(crate) trait AnyTask: Send + Sync {
     fn begins_prepared(&self) -> bool;
     fn prepare(&mut self, world: &mut World, rng: &mut Rng);
     fn reset(&mut self, world: &mut World, rng: &mut Rng);
-    fn apply(&mut self, world: &mut World, action: Option<&[f32]>);
+    fn command(&mut self, world: &mut World, action: Option<&[f32]>);
+    fn arms(&mut self) -> Arms<'_>;
+    fn endoscope(&mut self) -> Option<&mut EcmArm>;
+    fn after_step(&mut self, world: &mut World);
+    fn between(&mut self, part: f64);
     fn observe(
         &self,
         world: &World,
@@ -286,8 +321,24 @@ impl<T: Task> AnyTask for T {
         Task::reset(self, world, rng);
     }
 
-    fn apply(&mut self, world: &mut World, action: Option<&[f32]>) {
-        Task::apply(self, world, action);
+    fn command(&mut self, world: &mut World, action: Option<&[f32]>) {
+        Task::command(self, world, action);
+    }
+
+    fn arms(&mut self) -> Arms<'_> {
+        Task::arms(self)
+    }
+
+    fn endoscope(&mut self) -> Option<&mut EcmArm> {
+        Task::endoscope(self)
+    }
+
+    fn after_step(&mut self, world: &mut World) {
+        Task::after_step(self, world);
+    }
+
+    fn between(&mut self, part: f64) {
+        Task::between(self, part);
     }
 
     fn observe(

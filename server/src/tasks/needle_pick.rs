@@ -99,16 +99,14 @@ use trocar_proto::goal::Reward;
 use trocar_proto::spec::OptionSpec;
 use trocar_proto::{Options, Rejection, Stage, TaskSpec};
 
-use super::Task;
 use super::objects;
 use super::options::{self, Preset};
 use super::pick::{self, Pick};
-use super::psm_scene::{
-    self, MAX_STEPS, PaperAction, PsmArm, SECONDS_PER_STEP, Station, Turn, WORKSPACE,
-};
+use super::psm_scene::{self, MAX_STEPS, PaperAction, PsmArm, Station, Turn, WORKSPACE};
 use super::start::{self, Start};
 use super::theatre;
 use super::tray::{self, Needle};
+use super::{Arms, Task};
 use crate::render::Scene;
 use crate::sim::frames::Pose;
 use crate::sim::grasp::Grasp;
@@ -181,8 +179,8 @@ impl Task for NeedlePick {
         TaskSpec {
             id: Self::ID.into(),
             summary: "Pick up a needle and bring the middle of its arc to a point.".into(),
-            max_steps: MAX_STEPS,
-            seconds_per_step: SECONDS_PER_STEP,
+            max_steps: self.arm.rate().steps(MAX_STEPS),
+            seconds_per_step: self.arm.rate().seconds(),
             action: self.arm.action_elements(),
             observation,
             goal: Some(objects::goal_spec("mid arc", self.preset)),
@@ -210,12 +208,18 @@ impl Task for NeedlePick {
         }
     }
 
-    fn apply(&mut self, world: &mut World, action: Option<&[f32]>) {
-        let lifted = tray::pad().max.z + WELD_LIFT;
-        let needle = &self.needle;
-        psm_scene::step([&mut self.arm], world, &mut self.grasp, action, |world| {
-            needle.scene_from_middle(world).translation.z > lifted
-        });
+    fn command(&mut self, world: &mut World, action: Option<&[f32]>) {
+        psm_scene::command([&mut self.arm], world, &mut self.grasp, action);
+    }
+
+    fn arms(&mut self) -> Arms<'_> {
+        [&mut self.arm].into_iter().collect()
+    }
+
+    fn after_step(&mut self, world: &mut World) {
+        let height = self.needle.scene_from_middle(world).translation.z;
+        let is_lifted = height > tray::pad().max.z + WELD_LIFT;
+        psm_scene::settle([&mut self.arm], world, &mut self.grasp, is_lifted);
     }
 
     fn observe(

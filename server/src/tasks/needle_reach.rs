@@ -85,13 +85,13 @@ use trocar_proto::goal::SuccessRule;
 use trocar_proto::spec::{GoalSpec, OptionSpec};
 use trocar_proto::{Options, Rejection, TaskSpec};
 
-use super::Task;
 use super::options::{self, Preset};
 use super::psm_scene::{
-    MAX_STEPS, PaperAction, PsmArm, REACH, SECONDS_PER_STEP, STEP_LENGTH, Station, Turn, WORKSPACE,
+    MAX_STEPS, PaperAction, PsmArm, RATE, REACH, STEP_LENGTH, Station, Turn, WORKSPACE,
 };
 use super::theatre;
 use super::tray::{self, Needle};
+use super::{Arms, Task};
 use crate::render::Scene;
 use crate::sim::frames::Pose;
 use crate::sim::instrument::{JAW_CLOSED, TIP_OFFSET};
@@ -130,6 +130,7 @@ impl Task for NeedleReach {
             options::observation(),
             options::preset(),
             options::spawn(),
+            RATE.option(5.0),
             options::domain_with(options::object_rows(Needle::SIZE)),
             options::setup(&PsmArm::setup_rows(1)),
         ]
@@ -164,8 +165,8 @@ impl Task for NeedleReach {
         TaskSpec {
             id: Self::ID.into(),
             summary: "Move the closed jaw tip to a point just above a needle.".into(),
-            max_steps: MAX_STEPS,
-            seconds_per_step: SECONDS_PER_STEP,
+            max_steps: self.arm.rate().steps(MAX_STEPS),
+            seconds_per_step: self.arm.rate().seconds(),
             action: self.arm.action_elements(),
             observation: self.arm.observation_elements(),
             goal: Some(GoalSpec {
@@ -189,8 +190,12 @@ impl Task for NeedleReach {
         self.arm.reset(world, rng);
     }
 
-    fn apply(&mut self, world: &mut World, action: Option<&[f32]>) {
-        self.arm.apply(world, action);
+    fn command(&mut self, _: &mut World, action: Option<&[f32]>) {
+        self.arm.command(action);
+    }
+
+    fn arms(&mut self) -> Arms<'_> {
+        [&mut self.arm].into_iter().collect()
     }
 
     fn observe(
@@ -222,7 +227,7 @@ impl Task for NeedleReach {
         let step = if error.norm() < EXPERT_TOLERANCE {
             Vector3::zeros()
         } else {
-            error * (EXPERT_SPEED * STEP_LENGTH / error.amax())
+            error * (EXPERT_SPEED * STEP_LENGTH * self.arm.rate().scale() / error.amax())
         };
         let target = Pose::from(step) * self.arm.scene_from_wrist();
         self.arm.encode(&target, JAW_CLOSED, action);
@@ -234,6 +239,7 @@ mod tests {
     use super::*;
     use crate::assets::Model;
     use crate::sim::frames::Aabb;
+    use crate::tasks::time;
 
     #[test]
     fn the_goal_is_above_a_needle_that_lies_wholly_on_pad_and_workspace() {
@@ -291,7 +297,7 @@ mod tests {
                         action[axis] = to[axis].clamp(-1.0, 1.0) as f32;
                     }
                 }
-                Task::apply(&mut task, &mut world, Some(&action));
+                time::step(&mut task, &mut world, Some(&action), RATE.substeps());
                 let needle = world.pose(task.needle.body());
                 let over_pad = tray::pad().grown(-1e-3);
                 for part in &Model::needle().parts {

@@ -114,16 +114,15 @@ use trocar_proto::goal::Reward;
 use trocar_proto::spec::OptionSpec;
 use trocar_proto::{Options, Rejection, Stage, TaskSpec};
 
-use super::Task;
 use super::bimanual::{self, HandOver, Phase, Waypoint};
 use super::objects;
 use super::options::{self, Preset};
 use super::psm_scene::{
-    self, MAX_STEPS, PITCH_LIMIT, PaperAction, PsmArm, SECONDS_PER_STEP, Station, Turn,
-    pitch_across, pitched,
+    self, MAX_STEPS, PITCH_LIMIT, PaperAction, PsmArm, Station, Turn, pitch_across, pitched,
 };
 use super::theatre;
 use super::tray::{self, Needle};
+use super::{Arms, Task, time};
 use crate::render::Scene;
 use crate::sim::frames::{self, Aabb, Pose};
 use crate::sim::grasp::{Grasp, GraspMode};
@@ -236,8 +235,8 @@ impl Task for NeedleRegrasp {
         TaskSpec {
             id: Self::ID.into(),
             summary: "Hand a needle from one arm to the other, which brings it to a point.".into(),
-            max_steps: MAX_STEPS,
-            seconds_per_step: SECONDS_PER_STEP,
+            max_steps: one.rate().steps(MAX_STEPS),
+            seconds_per_step: one.rate().seconds(),
             action: bimanual::action_elements([one, two]),
             observation: bimanual::observation_elements([one, two], "needle", places, self.preset),
             goal: Some(objects::goal_spec(places[0], self.preset)),
@@ -269,10 +268,17 @@ impl Task for NeedleRegrasp {
         self.goal = self.goals().clamp(&(centre + spread));
     }
 
-    fn apply(&mut self, world: &mut World, action: Option<&[f32]>) {
-        let [one, two] = &mut self.arms;
-        psm_scene::step([one, two], world, &mut self.grasp, action, |_| true);
-        let (arms, needle) = ([&*one, &*two], self.needle.body());
+    fn command(&mut self, world: &mut World, action: Option<&[f32]>) {
+        psm_scene::command(self.arms.each_mut(), world, &mut self.grasp, action);
+    }
+
+    fn arms(&mut self) -> Arms<'_> {
+        self.arms.each_mut().into()
+    }
+
+    fn after_step(&mut self, world: &mut World) {
+        psm_scene::settle(self.arms.each_mut(), world, &mut self.grasp, true);
+        let (arms, needle) = (self.arms.each_ref(), self.needle.body());
         self.together = bimanual::holding_together(arms, world, needle, self.together);
     }
 
@@ -361,11 +367,12 @@ impl NeedleRegrasp {
     /// Both arms stay for `steps` with their jaws closed.
     fn close(&mut self, world: &mut World, steps: u32) {
         let mut action = vec![0.0; Task::spec(self).action_dim()];
-        for _ in 0..steps {
+        let rate = self.arms[0].rate();
+        for _ in 0..rate.steps(steps) {
             let [one, two] = &self.arms;
             let staying = [bimanual::staying(one), bimanual::staying(two)];
             bimanual::act([one, two], &staying, &mut action);
-            Task::apply(self, world, Some(&action));
+            time::step(self, world, Some(&action), rate.substeps());
         }
     }
 
@@ -424,7 +431,7 @@ mod tests {
     use crate::tasks::bimanual::tests::{Watched, act, act_as_expert, count};
 
     impl Watched for NeedleRegrasp {
-        fn arms(&self) -> &[PsmArm; 2] {
+        fn both(&self) -> &[PsmArm; 2] {
             &self.arms
         }
 

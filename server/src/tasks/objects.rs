@@ -5,7 +5,7 @@ use trocar_proto::goal::SuccessRule;
 use trocar_proto::spec::{Element, GoalSpec, OptionSpec};
 
 use super::options::{self, Preset, Variation};
-use super::psm_scene::{PsmArm, REACH, WORKSPACE};
+use super::psm_scene::{PsmArm, RATE, REACH, WORKSPACE};
 use crate::assets::{Model, Scaled};
 use crate::render::Scene;
 use crate::sim::frames::{self, Aabb, Pose};
@@ -78,6 +78,7 @@ pub fn options(
         options::action(),
         options::observation(),
         options::preset(),
+        RATE.option(5.0),
     ];
     specs.extend(own);
     let rows = std::iter::once(options::friction_row()).chain(options::object_rows(size));

@@ -267,11 +267,18 @@ pub fn domain_with(own: impl IntoIterator<Item = RowSpec>) -> OptionSpec {
     let noise = "Standard deviation of observed positions, m.";
     let offset = "Error of each rotary joint's encoder, rad.";
     let latency = "Steps by which actions take effect late (integers).";
+    let late =
+        "Time by which actions take effect late, s, to the nearest 1/240 s; besides latency.";
+    let shaken = "Standard deviation of what actuators add to each command along each axis, m.";
+    let twisted = "Standard deviation of what actuators add to each command about each axis, rad.";
     let mut rows = Vec::from_iter(own);
     rows.extend([
         range_row("observation_noise", noise, 0.0, 0.01),
         range_row("joint_offset", offset, -0.02, 0.02),
         range_row("latency", latency, 0.0, 10.0),
+        range_row("latency_seconds", late, 0.0, 1.0),
+        range_row("action_noise", shaken, 0.0, 0.01),
+        range_row("action_noise_angle", twisted, 0.0, 0.1),
     ]);
     OptionSpec {
         name: "domain".into(),
@@ -368,6 +375,12 @@ pub struct Domain {
     pub joint_offset: Range,
     /// Steps by which actions take effect late.
     pub latency: Range,
+    /// Seconds by which actions take effect late, besides.
+    pub latency_seconds: Range,
+    /// Standard deviation of what actuators add to each command along each axis, m.
+    pub action_noise: Range,
+    /// Standard deviation of what actuators add to each command about each axis, rad.
+    pub action_noise_angle: Range,
 }
 
 impl Domain {
@@ -392,6 +405,9 @@ impl Domain {
             camera_pose_angle: range("camera_pose_angle")?,
             joint_offset: range("joint_offset")?,
             latency: range("latency")?,
+            latency_seconds: range("latency_seconds")?,
+            action_noise: range("action_noise")?,
+            action_noise_angle: range("action_noise_angle")?,
         })
     }
 

@@ -48,9 +48,11 @@ impl Path {
         }
     }
 
-    /// Where the target is after `step` steps (x, y, m, world frame).
-    pub fn at(&self, step: usize) -> Vector2<f64> {
-        self.stops[step % LAP]
+    /// Where the target is after `steps` steps (x, y, m, world frame), whole ones or parts of one.
+    pub fn at(&self, steps: f64) -> Vector2<f64> {
+        let (whole, part) = (steps.floor() as usize, steps.fract());
+        let stop = self.stops[whole % LAP];
+        if part == 0.0 { stop } else { stop.lerp(&self.stops[(whole + 1) % LAP], part) }
     }
 
     /// Where the target is after each step of a lap.
@@ -150,8 +152,9 @@ mod tests {
         for seed in 0..50 {
             let path = Path::draw(&mut Rng::new(seed, 0));
             assert_eq!(path.stops().len(), LAP);
-            let steps: Vec<f64> =
-                (0..LAP).map(|step| (path.at(step + 1) - path.at(step)).norm()).collect();
+            let steps: Vec<f64> = (0..LAP)
+                .map(|step| (path.at(step as f64 + 1.0) - path.at(step as f64)).norm())
+                .collect();
             let mean = steps.iter().sum::<f64>() / LAP as f64;
             // A chord is shorter than its arc: by a little, but for the sharpest bends.
             let most = steps.iter().copied().fold(0.0, f64::max);
@@ -159,7 +162,9 @@ mod tests {
             assert!(most < 1.03 * mean && short < LAP / 20, "{seed}: {short} {mean} {most}");
             // 20 s a lap: the speed that the task's description promises.
             assert!((0.09..0.26).contains(&(mean / 0.1)), "{seed}: {mean}");
-            assert_eq!(path.at(0), path.at(LAP));
+            assert_eq!(path.at(0.0), path.at(LAP as f64));
+            let between = path.at(2.25) - path.at(2.0) - (path.at(3.0) - path.at(2.0)) * 0.25;
+            assert!(between.norm() < 1e-12);
         }
     }
 

@@ -261,7 +261,7 @@ mod tests {
                     world.wake(block.body());
                 }
                 for _ in 0..240 {
-                    world.step();
+                    world.advance();
                 }
                 assert!(world.at_rest(), "they fall asleep again");
                 for (block, put) in board.blocks().iter().zip(poses) {

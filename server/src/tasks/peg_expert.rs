@@ -69,7 +69,7 @@ impl Transfer {
     /// Writes what `arm` is to do now.
     pub fn act(&self, arm: &PsmArm, world: &World, action: &mut [f32]) {
         let (target, jaw) = self.waypoint(arm, world);
-        arm.encode(&step_towards(arm.scene_from_wrist(), &target), jaw, action);
+        arm.encode(&step_towards(arm, &target), jaw, action);
     }
 
     /// What is done now.

@@ -100,17 +100,15 @@ use trocar_proto::goal::Reward;
 use trocar_proto::spec::OptionSpec;
 use trocar_proto::{Options, Rejection, Stage, TaskSpec};
 
-use super::Task;
 use super::objects;
 use super::options::{self, Preset};
 use super::peg_board::{Block, Layout, PegBoard};
 use super::peg_expert::Transfer;
-use super::psm_scene::{
-    self, MAX_STEPS, PaperAction, PsmArm, SECONDS_PER_STEP, Station, Turn, WORKSPACE,
-};
+use super::psm_scene::{self, MAX_STEPS, PaperAction, PsmArm, Station, Turn, WORKSPACE};
 use super::start::{self, Start};
 use super::theatre;
 use super::tray;
+use super::{Arms, Task};
 use crate::render::Scene;
 use crate::sim::grasp::Grasp;
 use crate::sim::instrument::TIP_OFFSET;
@@ -173,8 +171,8 @@ impl Task for PegTransfer {
         TaskSpec {
             id: Self::ID.into(),
             summary: "Take a block from its peg to another one.".into(),
-            max_steps: MAX_STEPS,
-            seconds_per_step: SECONDS_PER_STEP,
+            max_steps: self.arm.rate().steps(MAX_STEPS),
+            seconds_per_step: self.arm.rate().seconds(),
             action: self.arm.action_elements(),
             observation,
             goal: Some(PegBoard::goal_spec(self.preset)),
@@ -202,12 +200,19 @@ impl Task for PegTransfer {
         }
     }
 
-    fn apply(&mut self, world: &mut World, action: Option<&[f32]>) {
+    fn command(&mut self, world: &mut World, action: Option<&[f32]>) {
+        psm_scene::command([&mut self.arm], world, &mut self.grasp, action);
+    }
+
+    fn arms(&mut self) -> Arms<'_> {
+        [&mut self.arm].into_iter().collect()
+    }
+
+    fn after_step(&mut self, world: &mut World) {
         let Layout { block, target } = self.layout;
-        let lifted = PegBoard::peg(target).z + WELD_LIFT;
-        psm_scene::step([&mut self.arm], world, &mut self.grasp, action, |world| {
-            world.pose(block.body()).translation.z > lifted
-        });
+        let height = world.pose(block.body()).translation.z;
+        let is_lifted = height > PegBoard::peg(target).z + WELD_LIFT;
+        psm_scene::settle([&mut self.arm], world, &mut self.grasp, is_lifted);
     }
 
     fn observe(

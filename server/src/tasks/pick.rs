@@ -48,7 +48,7 @@ impl Pick {
     /// Writes what `arm` is to do now.
     pub fn act(&self, arm: &PsmArm, world: &World, action: &mut [f32]) {
         let (target, jaw) = self.waypoint(arm, world);
-        arm.encode(&step_towards(arm.scene_from_wrist(), &target), jaw, action);
+        arm.encode(&step_towards(arm, &target), jaw, action);
     }
 
     /// What is done now.
@@ -121,12 +121,13 @@ pub fn jaws_across(along: &Vector3<f64>, wrist: &Pose) -> UnitQuaternion<f64> {
     UnitQuaternion::from_axis_angle(&Vector3::z_axis(), turn) * down()
 }
 
-/// As far from `now` to `target` as one step goes, along a straight line.
-pub(super) fn step_towards(now: &Pose, target: &Pose) -> Pose {
+/// As far from where `arm` was commanded to `target` as one step goes, along a straight line.
+pub(super) fn step_towards(arm: &PsmArm, target: &Pose) -> Pose {
+    let (now, scale) = (arm.commanded(), arm.rate().scale());
     let step = target.translation.vector - now.translation.vector;
-    let step = step / (step.amax() / STEP_LENGTH).max(1.0);
+    let step = step / (step.amax() / (STEP_LENGTH * scale)).max(1.0);
     let turn = (target.rotation * now.rotation.inverse()).scaled_axis();
-    let turn = turn / (turn.norm() / STEP_ANGLE).max(1.0);
+    let turn = turn / (turn.norm() / (STEP_ANGLE * scale)).max(1.0);
     let rotation = UnitQuaternion::from_scaled_axis(turn) * now.rotation;
     Pose::from_parts((now.translation.vector + step).into(), rotation)
 }

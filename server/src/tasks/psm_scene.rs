@@ -19,6 +19,7 @@
 //! | `cartesian_abs` | x, y, z within [`REACH`], rotation vector from jaws straight down (180°), jaw as before; a step goes at most 10 mm along each axis and 30° towards it |
 //! | `joint` | yaw, pitch (0.06 rad), insertion (10 mm), roll, wrist pitch, wrist yaw (30°), jaw as before |
 
+use std::collections::VecDeque;
 use std::f64::consts::{FRAC_PI_2, PI};
 
 use nalgebra::Vector3;
@@ -26,15 +27,16 @@ use trocar_proto::spec::{Element, RowSpec};
 use trocar_proto::{Options, Rejection};
 
 use super::options::{self, ActionMode, Preset, Range};
+use super::rate::Rate;
 use crate::render::skeleton::Skeleton;
 use crate::render::{Jaws, Scene};
 use crate::robots::Psm;
 use crate::sim::frames::{self, Aabb, Pose};
 use crate::sim::grasp::Grasp;
 use crate::sim::instrument::{self, Instrument, JAW_CLOSED, JAW_OPEN, Posture, TIP_OFFSET};
+use crate::sim::motion::{Arrival, Profile};
 use crate::sim::random::Rng;
-use crate::sim::travel::travel;
-use crate::sim::world::{BodyId, SUBSTEPS_PER_SECOND, World};
+use crate::sim::world::{BodyId, World};
 
 mod action;
 mod orientation;
@@ -45,10 +47,10 @@ use orientation::wrist_from_link;
 pub(super) use orientation::{down, straight_down};
 pub use orientation::{pitch_across, pitch_of, pitched};
 
-/// Simulated time of one step, s.
-pub const SECONDS_PER_STEP: f64 = 0.2;
+/// How often the tasks are commanded for which numbers below are those of a step, 5 Hz.
+pub const RATE: Rate = Rate::nominal(5.0);
 
-/// Steps of an episode.
+/// Steps of an episode at [`RATE`].
 pub const MAX_STEPS: u32 = 50;
 
 /// Height of the table's top, m. Source: the original's table.
@@ -167,6 +169,7 @@ pub struct PsmArm {
     reach: Aabb,
     /// Height of what lies under the jaws, m.
     support: f64,
+    rate: Rate,
     instrument: Instrument,
     /// What the joint sensors report.
     joints: [f64; 6],
@@ -174,6 +177,24 @@ pub struct PsmArm {
     offsets: [f64; 6],
     /// The wrist as the joint sensors report it.
     scene_from_wrist: Pose,
+    /// From where increments count: where the latest command asked the arm to be, or where it is if it was
+    /// held up.
+    commanded: Commanded,
+    /// How the arm goes where the latest command asked it to be.
+    profile: Profile,
+    /// What the actuators add to the next command: a step (m) and a rotation vector (rad), scene frame.
+    disturbance: Option<[Vector3<f64>; 2]>,
+}
+
+/// Where an arm was asked to be.
+#[derive(Debug, Clone, Copy)]
+struct Commanded {
+    /// What the joint sensors then report.
+    joints: [f64; 6],
+    /// The wrist as they then report it.
+    scene_from_wrist: Pose,
+    /// Opening of the jaws, rad.
+    jaw: f64,
 }
 
 impl PsmArm {
@@ -232,6 +253,14 @@ impl PsmArm {
             joints: [0.0, 0.0, 0.1, 0.0, 0.0, 0.0],
             offsets: [0.0; 6],
             scene_from_wrist: start,
+            rate: RATE.of(options),
+            commanded: Commanded {
+                joints: [0.0, 0.0, 0.1, 0.0, 0.0, 0.0],
+                scene_from_wrist: start,
+                jaw: JAW_CLOSED,
+            },
+            profile: Profile::Streamed(VecDeque::new()),
+            disturbance: None,
         };
         for corner in station.workspace.corners() {
             let wrist = corner.coords + Vector3::z() * TIP_OFFSET;
@@ -260,6 +289,13 @@ impl PsmArm {
         let world_from_wrist = self.true_pose(&self.joints);
         self.instrument.untie(world);
         self.instrument.place(Posture { world_from_wrist, jaw: JAW_CLOSED });
+        self.stay();
+    }
+
+    /// Makes where the arm is the place from where increments count.
+    fn stay(&mut self) {
+        let (joints, scene_from_wrist) = (self.joints, self.scene_from_wrist);
+        self.commanded = Commanded { joints, scene_from_wrist, jaw: self.instrument.posture().jaw };
     }
 
     /// Puts the arm, at once, where its true wrist is at `target`, jaws open by `jaw` (rad); false
@@ -272,6 +308,7 @@ impl PsmArm {
         self.joints = std::array::from_fn(|joint| joints[joint] - self.offsets[joint]);
         self.scene_from_wrist = self.pose_at(&self.joints);
         self.instrument.place(Posture { world_from_wrist: self.true_pose(&self.joints), jaw });
+        self.stay();
         true
     }
 
@@ -293,6 +330,12 @@ impl PsmArm {
     /// The true tip of the closed jaws, m, scene frame.
     pub fn tip(&self) -> Vector3<f64> {
         self.instrument.posture().world_from_tip().translation.vector
+    }
+
+    /// The wrist where the latest command asked it to be, as the joint sensors will report it, scene frame; where
+    /// it is if it was held up.
+    pub fn commanded(&self) -> &Pose {
+        &self.commanded.scene_from_wrist
     }
 
     /// The wrist as the joint sensors report it, scene frame.
@@ -341,28 +384,71 @@ impl PsmArm {
         self.instrument.holds(world, object)
     }
 
-    /// Moves the arm for one step under an action of its mode; it holds where there is none.
-    pub fn apply(&mut self, world: &mut World, action: Option<&[f32]>) {
-        let plan = self.plan(action);
-        let [reached] = travel([&mut self.instrument], world, [plan.end], substeps());
-        self.arrive(&plan, reached);
+    /// How often the arm is commanded.
+    pub fn rate(&self) -> Rate {
+        self.rate
     }
 
-    /// Where the arm goes under an action.
-    fn plan(&self, action: Option<&[f32]>) -> Plan {
-        let (target, jaw) = match action {
+    /// Lets the actuators add `step` (m) and the rotation vector `turn` (rad), scene frame, to the next command.
+    pub fn disturb(&mut self, step: Vector3<f64>, turn: Vector3<f64>) {
+        self.disturbance = Some([step, turn]);
+    }
+
+    /// Takes a command: an action of the arm's mode, or none, for the arm to hold.
+    pub fn command(&mut self, action: Option<&[f32]>) {
+        self.plan(action);
+    }
+
+    /// How the arm goes where the latest command asked it to be.
+    pub fn profile(&self) -> &Profile {
+        &self.profile
+    }
+
+    /// Its instrument in the world.
+    pub fn instrument(&mut self) -> &mut Instrument {
+        &mut self.instrument
+    }
+
+    /// Takes a command, and says whether the jaws are told to close: to less than half of what they open.
+    fn plan(&mut self, action: Option<&[f32]>) -> bool {
+        let start = *self.instrument.posture();
+        let (mut target, asked) = match action {
             Some(action) => self.decode(action),
-            None => (self.scene_from_wrist, self.instrument.posture().jaw),
+            None => (self.commanded.scene_from_wrist, self.commanded.jaw),
         };
-        let joints = self.solve_clear_of_pad(&self.confined(target)).unwrap_or(self.joints);
-        Plan { joints, end: Posture { world_from_wrist: self.true_pose(&joints), jaw } }
+        if let Some([step, turn]) = self.disturbance.take() {
+            target = action::moved(&target, step, turn);
+        }
+        let before = self.commanded;
+        let joints = self.solve_clear_of_pad(&self.confined(target)).unwrap_or(before.joints);
+        let most = (JAW_OPEN - JAW_CLOSED) * self.rate.scale();
+        let turn = asked - before.jaw;
+        let jaw = if turn.abs() <= most { asked } else { before.jaw + most.copysign(turn) };
+        let end = Posture { world_from_wrist: self.true_pose(&joints), jaw };
+        self.profile = if self.rate.is_nominal() {
+            Profile::Smoothstep { start, end }
+        } else {
+            let world_from_wrist = self.true_pose(&before.joints);
+            let via = Posture { world_from_wrist, jaw: before.jaw };
+            Profile::Bend { start, via, end: via.towards(&end, 0.5, 0.5) }
+        };
+        self.commanded = Commanded { joints, scene_from_wrist: self.pose_at(&joints), jaw };
+        asked < 0.5 * (JAW_CLOSED + JAW_OPEN)
     }
 
-    /// Notes where the arm is after it went along `reached` of the way that was planned.
-    fn arrive(&mut self, plan: &Plan, reached: f64) {
-        self.joints =
-            if reached < 1.0 { self.joints_where_it_is(&plan.joints) } else { plan.joints };
+    /// Takes note of how far the arm came.
+    pub fn arrive(&mut self, arrival: Arrival) {
+        let is_there = arrival.covered >= 1.0 && self.rate.is_nominal();
+        self.joints = if is_there {
+            self.commanded.joints
+        } else {
+            self.joints_where_it_is(&self.commanded.joints)
+        };
         self.scene_from_wrist = self.pose_at(&self.joints);
+        if arrival.is_blocked {
+            let (joints, scene_from_wrist) = (self.joints, self.scene_from_wrist);
+            self.commanded = Commanded { joints, scene_from_wrist, ..self.commanded };
+        }
     }
 
     /// Number of values that [`Self::observe`] writes.
@@ -405,8 +491,8 @@ impl PsmArm {
     /// The joints that bring the sensed wrist to `target` without turning the roll right round.
     fn solve(&self, target: &Pose) -> Option<[f64; 6]> {
         let base_from_wrist = self.scene_from_base.inv_mul(target);
-        let joints = self.kinematics.inverse(&base_from_wrist, &self.joints).ok()?;
-        let roll = (joints[3] - self.joints[3]).abs();
+        let joints = self.kinematics.inverse(&base_from_wrist, &self.commanded.joints).ok()?;
+        let roll = (joints[3] - self.commanded.joints[3]).abs();
         (roll < PI).then_some(joints)
     }
 
@@ -448,50 +534,31 @@ impl PsmArm {
     }
 }
 
-/// Where an arm goes in a step.
-struct Plan {
-    /// What the joint sensors will report.
-    joints: [f64; 6],
-    end: Posture,
-}
-
-impl Plan {
-    /// Whether the jaws are told to close: to less than half of what they open.
-    fn closes(&self) -> bool {
-        self.end.jaw < 0.5 * (JAW_CLOSED + JAW_OPEN)
-    }
-}
-
-/// Moves `arms` at the same time for one step under an action, which has as many numbers for each, one
-/// arm after the other; they hold where there is none. `is_lifted` tells whether the object of `grasp`
-/// has risen enough for a tie to replace friction where the grasp mode is `weld`.
-pub fn step<const N: usize>(
+/// Gives an action to `arms`, which has as many numbers for each, one arm after the other; they hold where
+/// there is none.
+pub fn command<const N: usize>(
     mut arms: [&mut PsmArm; N],
     world: &mut World,
     grasp: &mut Grasp,
     action: Option<&[f32]>,
-    is_lifted: impl FnOnce(&World) -> bool,
 ) {
-    let plans: [Plan; N] = std::array::from_fn(|index| {
+    let closing = std::array::from_fn(|index| {
         let own = action.map(|action| {
             let count = action.len() / N;
             &action[index * count..][..count]
         });
         arms[index].plan(own)
     });
-    let closing = plans.each_ref().map(Plan::closes);
-    let ends = plans.each_ref().map(|plan| plan.end);
-    let mut instruments = arms.each_mut().map(|arm| &mut arm.instrument);
-    grasp.command(world, instruments.each_mut().map(|each| &mut **each), closing);
-    let reached = travel(instruments.each_mut().map(|each| &mut **each), world, ends, substeps());
-    let is_lifted = is_lifted(world);
-    grasp.settle(world, instruments, is_lifted);
-    for ((arm, plan), reached) in arms.into_iter().zip(&plans).zip(reached) {
-        arm.arrive(plan, reached);
-    }
+    grasp.command(world, arms.map(PsmArm::instrument), closing);
 }
 
-/// Substeps of a step.
-fn substeps() -> u32 {
-    (SECONDS_PER_STEP * SUBSTEPS_PER_SECOND).round() as u32
+/// Lets a tie take over what `arms` hold or let it go; `is_lifted` tells whether the object of `grasp` has risen
+/// enough for a tie to replace friction where the grasp mode is `weld`.
+pub fn settle<const N: usize>(
+    arms: [&mut PsmArm; N],
+    world: &mut World,
+    grasp: &mut Grasp,
+    is_lifted: bool,
+) {
+    grasp.settle(world, arms.map(PsmArm::instrument), is_lifted);
 }

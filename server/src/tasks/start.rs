@@ -9,7 +9,7 @@ use std::sync::OnceLock;
 use trocar_proto::Options;
 use trocar_proto::spec::OptionSpec;
 
-use super::{AnyTask, Task};
+use super::{AnyTask, Task, rate, time};
 use crate::sim::random::Rng;
 use crate::sim::world::World;
 
@@ -78,7 +78,7 @@ pub fn bring_about<T: Task>(
             for number in &mut action {
                 *number = number.clamp(-1.0, 1.0);
             }
-            Task::apply(task, world, Some(&action));
+            time::step(task, world, Some(&action), rate::substeps(spec.seconds_per_step));
         }
     }
     tracing::warn!(task = T::ID, "the expert failed to prepare a start; it is as far as it came");

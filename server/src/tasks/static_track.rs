@@ -95,7 +95,7 @@ use trocar_proto::{Options, Rejection, TaskSpec};
 
 use super::Task;
 use super::camera::Cube;
-use super::ecm_scene::{SECONDS_PER_STEP, misorientation_element};
+use super::ecm_scene::{EcmArm, RATE, misorientation_element};
 use super::options;
 use super::track::{Layout, Tracker, image_elements};
 use crate::render::Scene;
@@ -148,6 +148,7 @@ impl Task for StaticTrack {
             options::action(),
             options::observation_or_perceived(),
             options::preset(),
+            RATE.option(10.0),
             options::domain_with(options::camera_rows(CAMERA_ANGLE)),
             options::setup(&Tracker::setup_rows()),
         ]
@@ -165,8 +166,8 @@ impl Task for StaticTrack {
         TaskSpec {
             id: Self::ID.into(),
             summary: "Centre a cube among others in the endoscope's picture.".into(),
-            max_steps: MAX_STEPS,
-            seconds_per_step: SECONDS_PER_STEP,
+            max_steps: self.tracker.rate().steps(MAX_STEPS),
+            seconds_per_step: self.tracker.rate().seconds(),
             action: self.tracker.action_elements(),
             observation: self.tracker.observation_elements(),
             goal: Some(GoalSpec {
@@ -187,8 +188,16 @@ impl Task for StaticTrack {
         self.tracker.furnish(target, distractors);
     }
 
-    fn apply(&mut self, _: &mut World, action: Option<&[f32]>) {
-        self.tracker.step(action, None);
+    fn command(&mut self, _: &mut World, action: Option<&[f32]>) {
+        self.tracker.arm().command(action);
+    }
+
+    fn endoscope(&mut self) -> Option<&mut EcmArm> {
+        Some(self.tracker.arm())
+    }
+
+    fn after_step(&mut self, _: &mut World) {
+        self.tracker.look();
     }
 
     fn observe(

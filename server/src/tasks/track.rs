@@ -39,6 +39,7 @@ use super::camera::{Cube, IMAGE_BOUND, Sighting, TAN_HALF_VIEW, View};
 use super::ecm_scene::{Control, EcmArm, STEP_TURN, misorientation_element};
 use super::options::{self, Preset};
 use super::perception;
+use super::rate::Rate;
 use crate::assets::Model;
 use crate::render::Scene;
 use crate::sim::random::Rng;
@@ -198,13 +199,19 @@ impl Tracker {
         std::iter::once(&self.target).chain(&self.distractors)
     }
 
-    /// Moves the endoscope for one step, and the target to `place` (m, world frame) meanwhile.
-    pub fn step(&mut self, action: Option<&[f32]>, place: Option<Vector2<f64>>) {
-        self.arm.apply(action);
-        if let Some(place) = place {
-            (self.target.centre.x, self.target.centre.y) = (place.x, place.y);
-        }
-        self.look();
+    /// The endoscope's arm.
+    pub fn arm(&mut self) -> &mut EcmArm {
+        &mut self.arm
+    }
+
+    /// How often the endoscope is commanded.
+    pub fn rate(&self) -> Rate {
+        self.arm.rate()
+    }
+
+    /// Moves the target to `place` (m, world frame).
+    pub fn move_target(&mut self, place: &Vector2<f64>) {
+        (self.target.centre.x, self.target.centre.y) = (place.x, place.y);
     }
 
     /// Draws the arm and all cubes, the target as `target`.
@@ -277,7 +284,8 @@ impl Tracker {
     pub fn expert(&self, action: &mut [f32]) {
         let (_, point) = self.observed();
         let angles = point.map(|number| libm::atan(number * TAN_HALF_VIEW));
-        let across = (angles / STEP_TURN).map(|number| number.clamp(-1.0, 1.0));
+        let across =
+            (angles / (STEP_TURN * self.rate().scale())).map(|number| number.clamp(-1.0, 1.0));
         self.arm.encode_velocity(&Vector3::new(across.x, across.y, 0.0), action);
     }
 
@@ -289,7 +297,8 @@ impl Tracker {
         }
     }
 
-    fn look(&mut self) {
+    /// Looks at where the target is in the picture.
+    pub fn look(&mut self) {
         self.sighting = self.view().sight(&self.target, &self.distractors);
         self.misorientation = self.arm.misorientation();
         if self.perceived.is_some() {

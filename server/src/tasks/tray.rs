@@ -173,7 +173,7 @@ mod tests {
             let laid = world.pose(needle.body());
             world.wake(needle.body());
             for _ in 0..24 {
-                world.step();
+                world.advance();
             }
             let moved = world.pose(needle.body()).translation.vector - laid.translation.vector;
             assert!(moved.norm() < 0.02e-3, "{moved}");

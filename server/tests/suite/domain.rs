@@ -239,7 +239,7 @@ fn a_varied_object_lies_at_rest_and_sleeps_until_it_is_touched() {
                     world.wake(object);
                 }
                 for _ in 0..SUBSTEPS_PER_SECOND as u32 {
-                    world.step();
+                    world.advance();
                 }
                 assert!(world.at_rest() && world.deepest_overlap() < 0.02e-3, "{what}");
                 for (object, laid) in env.world().objects().zip(&laid) {

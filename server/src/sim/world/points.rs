@@ -8,7 +8,7 @@
 //! A finger is as good as immovable but about its hinge. Where furniture is in its way otherwise, no contact could
 //! help, and the impulses with which one would try are enormous; begun with in the next substep, from a
 //! little further on, they turned a finger at 2,000 rad/s, and what it touched flew away at 3.6 m/s. Such
-//! contacts are left out: that instruments stop at furniture is the business of [`travel`](crate::sim::travel).
+//! contacts are left out: that instruments stop at furniture is the business of [`motion`](crate::sim::motion).
 
 use rapier3d::geometry::{
     ContactData, ContactManifold, NEW_CONTACT_BIT, SolverContact, TrackedContact,

@@ -19,7 +19,7 @@ fn an_object_falls_as_it_really_would() {
     world.wake(body);
     let mut landed = None;
     for substep in 1..=48 {
-        world.step();
+        world.advance();
         let time = f64::from(substep) / SUBSTEPS_PER_SECOND;
         let fallen = height + half - world.pose(body).translation.z;
         let expected = 0.5 * GRAVITY * time * time;
@@ -43,7 +43,7 @@ fn a_resting_object_weighs_what_it_weighs_and_falls_asleep() {
     let body = world.insert(Motion::Free { mass: 0.01 }, &at(0.001), 1.0, &[cube(0.001)]);
     world.wake(body);
     for _ in 0..100 {
-        world.step();
+        world.advance();
     }
     let push = world.push_on(&[plate]);
     assert!((push.force.z + 0.01 * GRAVITY).abs() < 0.002, "{push:?}");
@@ -56,7 +56,7 @@ fn a_resting_object_weighs_what_it_weighs_and_falls_asleep() {
         assert!(coords.xy().abs().max() < 1.1e-3 && coords.z.abs() < 1e-4, "{coords}");
     }
     for _ in 0..140 {
-        world.step();
+        world.advance();
     }
     assert!(world.at_rest());
 }
@@ -73,7 +73,7 @@ fn a_driven_body_wakes_and_moves_what_it_meets() {
         let mut pose = start;
         pose.translation.x += 0.03 * f64::from(substep) / 240.0;
         world.drive(pusher, &pose);
-        world.step();
+        world.advance();
     }
     let moved = world.pose(object).translation.x;
     assert!((moved - (0.01 + 0.005 + 0.002)).abs() < 5e-4, "{moved}");
@@ -90,7 +90,7 @@ fn a_clone_goes_on_bit_by_bit_like_the_original() {
     for substep in 0..40 {
         let mut clone = world.clone();
         for world in [&mut world, &mut clone] {
-            world.step();
+            world.advance();
             bits.push((substep, world.pose(body).to_homogeneous().map(f64::to_bits)));
         }
     }

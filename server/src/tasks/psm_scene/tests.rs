@@ -3,6 +3,7 @@
 use super::action::moved;
 use super::orientation::PITCHED;
 use super::*;
+use crate::sim::motion::Motion;
 use crate::sim::world::Solver;
 use crate::tasks::tray::pad;
 
@@ -14,6 +15,15 @@ fn arm(options: &Options) -> (World, PsmArm) {
         PsmArm::insert(&mut world, options, paper, Station::psm1(start, pad().max.z)).unwrap();
     arm.reset(&mut world, &mut Rng::new(0, 0));
     (world, arm)
+}
+
+/// Lets a step pass under `action`.
+fn step(arm: &mut PsmArm, world: &mut World, action: &[f32]) {
+    arm.command(Some(action));
+    let substeps = arm.rate.substeps();
+    let mut motion = Motion::new([arm.profile.clone()].into_iter().collect(), substeps);
+    motion.pass(substeps, &mut [&mut arm.instrument], world);
+    arm.arrive(motion.arrivals()[0]);
 }
 
 #[test]
@@ -44,7 +54,7 @@ fn every_action_mode_takes_the_wrist_where_its_encoding_says() {
         let mut action = vec![0.0; arm.action_elements().len()];
         arm.encode(&target, JAW_OPEN, &mut action);
         assert!(action.iter().all(|number| number.abs() <= 1.0), "{mode}: {action:?}");
-        arm.apply(&mut world, Some(&action));
+        step(&mut arm, &mut world, &action);
         let off = target.inv_mul(arm.scene_from_wrist());
         assert!(off.translation.vector.norm() < 1e-6, "{mode}: {off}");
         assert!(off.rotation.angle() < 1e-6, "{mode}");
@@ -68,7 +78,7 @@ fn no_action_takes_the_jaws_below_their_clearance_or_out_of_reach() {
             let mut action: Vec<f32> = (0..count).map(|_| rng.uniform(-1.0, 1.0) as f32).collect();
             action[2] = if mode == "joint" { 1.0 } else { -1.0 };
             let before = arm.tip();
-            arm.apply(&mut world, Some(&action));
+            step(&mut arm, &mut world, &action);
             let pose = arm.instrument.posture().world_from_wrist;
             let low = pose.translation.z - arm.instrument.depth_below_wrist(&pose.rotation);
             lowest = lowest.min(low);
@@ -104,7 +114,7 @@ fn the_pitch_turns_jaws_about_themselves_within_a_quarter_turn() {
         assert!((along - Vector3::x()).norm() < 1e-12, "{along}");
         let mut seen = [0.0; PsmArm::OBSERVED];
         for (turn, pitch) in [(1.0, -75.0), (0.4, -69.0), (-1.0, -84.0)] {
-            arm.apply(&mut world, Some(&[0.0, 0.0, 0.0, turn, -1.0]));
+            step(&mut arm, &mut world, &[0.0, 0.0, 0.0, turn, -1.0]);
             arm.observe(&world, &mut seen);
             let expected = [roll, pitch * DEGREE, yaw];
             for (found, expected) in seen[3..6].iter().zip(expected) {
@@ -112,7 +122,7 @@ fn the_pitch_turns_jaws_about_themselves_within_a_quarter_turn() {
             }
         }
         for _ in 0..2 {
-            arm.apply(&mut world, Some(&[0.0, 0.0, 0.0, -1.0, -1.0]));
+            step(&mut arm, &mut world, &[0.0, 0.0, 0.0, -1.0, -1.0]);
         }
         arm.observe(&world, &mut seen);
         // The original's numbers where roll and yaw are not determined.
@@ -131,7 +141,7 @@ fn the_pitch_goes_far_enough_all_over_the_workspace() {
             let reached = (-6..=6).map(|step| f64::from(step) * STEP_PITCH).take_while(|pitch| {
                 let pose = Pose::from_parts(corner.coords.into(), pitched(index, *pitch));
                 let joints = arm.solve(&arm.confined(pose));
-                arm.joints = joints.unwrap_or(arm.joints);
+                arm.commanded.joints = joints.unwrap_or(arm.commanded.joints);
                 joints.is_some()
             });
             // Further, the roll may end at its limit.

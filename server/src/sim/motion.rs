@@ -1,0 +1,314 @@
+//! How instruments move: each along its [`Profile`], as far as the [`guard`] lets it, substep by substep.
+//!
+//! A [`Motion`] is that of all instruments of a task at the same time. [`Motion::advance`] lets one substep pass
+//! for them and for the world. [`Motion::pass`] lets several pass, and knows **quiescence**: while every free
+//! object sleeps and the volumes that the instruments sweep, jaws as they are and as they are to be, meet no
+//! object, no static body (where they grip) and not each other, nothing else would change. Then it moves the
+//! instruments alone, and the world needs no substep. Where objects do move, an instrument that none can meet
+//! in a substep takes no part in it.
+
+use arrayvec::ArrayVec;
+use nalgebra::Vector3;
+
+use super::instrument::{Instrument, Posture};
+use super::world::{Push, World};
+
+mod guard;
+mod profile;
+
+pub use profile::Profile;
+
+/// Most instruments of a task.
+pub const MAX_INSTRUMENTS: usize = 2;
+
+/// The instruments of a task.
+pub type Instruments<'a> = ArrayVec<&'a mut Instrument, MAX_INSTRUMENTS>;
+
+/// The profiles of a task's instruments.
+pub type Profiles = ArrayVec<Profile, MAX_INSTRUMENTS>;
+
+/// How far each of a task's instruments came.
+pub type Arrivals = ArrayVec<Arrival, MAX_INSTRUMENTS>;
+
+/// Where the instruments are to be.
+type Places = ArrayVec<Posture, MAX_INSTRUMENTS>;
+
+/// Set-points that are kept of a stream, behind the latest: as far back as an instrument may be driven.
+const KEPT: usize = 48;
+
+/// How far an instrument came along its profile.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Arrival {
+    /// Part of the way that it covered: 1 where it is at the profile's end.
+    pub covered: f64,
+    /// Whether it was held up or pushed aside: it is not where the profile has it now.
+    pub is_blocked: bool,
+}
+
+/// What counts as the way covered by an instrument that is beside its path at the end: not all of it.
+const BESIDE: f64 = 1.0 - f64::EPSILON;
+
+/// One instrument on its way.
+#[derive(Debug, Clone)]
+struct Way {
+    profile: Profile,
+    /// Substeps' worth of the way that the wrist has covered.
+    done: u32,
+    /// What pushed in the last substep.
+    push: Push,
+    /// How far it has given way off its path, m.
+    aside: Vector3<f64>,
+}
+
+impl Way {
+    fn new(profile: Profile) -> Self {
+        Self { profile, done: 0, push: Push::NONE, aside: Vector3::zeros() }
+    }
+
+    /// The posture in substep `now` of `substeps` where the wrist has covered `done` of them.
+    fn along(&self, done: u32, now: u32, substeps: u32) -> Posture {
+        let mut posture = self.profile.at(done, now, substeps);
+        posture.world_from_wrist.translation.vector += self.aside;
+        posture
+    }
+}
+
+/// The motion of a task's instruments.
+#[derive(Debug, Clone, Default)]
+pub struct Motion {
+    ways: ArrayVec<Way, MAX_INSTRUMENTS>,
+    /// Substeps that have passed.
+    now: u32,
+    substeps: u32,
+}
+
+impl Motion {
+    /// A motion along profiles of `substeps` substeps, one for each instrument.
+    pub fn new(profiles: Profiles, substeps: u32) -> Self {
+        Self { ways: profiles.into_iter().map(Way::new).collect(), now: 0, substeps }
+    }
+
+    /// A motion of instruments through set-points that come one by one, see [`Self::push`].
+    pub fn streamed(instruments: &[&mut Instrument]) -> Self {
+        let start = |each: &&mut Instrument| Profile::Streamed([*each.posture()].into());
+        Self::new(instruments.iter().map(start).collect(), 0)
+    }
+
+    /// Adds a substep in which each instrument is to go to its set-point. One that was held up is as many
+    /// substeps behind.
+    ///
+    /// # Panics
+    /// Where the motion is not a streamed one, or has another number of instruments.
+    pub fn push(&mut self, set_points: &[Posture]) {
+        assert_eq!(set_points.len(), self.ways.len(), "one set-point for each instrument");
+        self.substeps += 1;
+        let mut points = self.ways.iter_mut().zip(set_points);
+        let can_forget = points.all(|(way, set_point)| {
+            let Profile::Streamed(points) = &mut way.profile else {
+                panic!("only streamed motions take set-points");
+            };
+            points.push_back(*set_point);
+            points.len() > KEPT && way.done > 0
+        });
+        if can_forget && !self.ways.is_empty() {
+            (self.now, self.substeps) = (self.now - 1, self.substeps - 1);
+            for way in &mut self.ways {
+                way.done -= 1;
+                if let Profile::Streamed(points) = &mut way.profile {
+                    points.pop_front();
+                }
+            }
+        }
+    }
+
+    /// Substeps that are left.
+    pub fn left(&self) -> u32 {
+        self.substeps - self.now
+    }
+
+    /// The part of the motion's time that has passed, from 0 to 1.
+    pub fn passed(&self) -> f64 {
+        if self.substeps == 0 { 1.0 } else { f64::from(self.now) / f64::from(self.substeps) }
+    }
+
+    /// Lets one substep pass: instruments go on as far as they may, and the world advances.
+    pub fn advance(&mut self, instruments: &mut [&mut Instrument], world: &mut World) {
+        self.now += 1;
+        guard::drive(&mut self.ways, instruments, world, self.now, self.substeps);
+        world.advance();
+        for (way, instrument) in self.ways.iter_mut().zip(instruments) {
+            way.push = instrument.push(world);
+        }
+    }
+
+    /// Lets `substeps` substeps pass, of those that are left; while nothing else would change, of the instruments
+    /// alone.
+    pub fn pass(&mut self, substeps: u32, instruments: &mut [&mut Instrument], world: &mut World) {
+        let until = self.now + substeps;
+        while self.now < until {
+            let is_quiet = world.at_rest()
+                && (self.skip(until, instruments, world) || self.glide(1, instruments, world));
+            if !is_quiet {
+                self.advance(instruments, world);
+            }
+        }
+    }
+
+    fn skip(&mut self, until: u32, instruments: &mut [&mut Instrument], world: &World) -> bool {
+        if until == self.substeps {
+            self.finish(instruments, world)
+        } else {
+            self.glide(until - self.now, instruments, world)
+        }
+    }
+
+    /// Brings the instruments to the end where nothing is in their way; whether it did. The world must be at rest.
+    fn finish(&mut self, instruments: &mut [&mut Instrument], world: &World) -> bool {
+        let end = |way: &Way| way.profile.end();
+        let ends: Option<Places> = self.ways.iter().map(end).collect();
+        let Some(ends) = ends else { return false };
+        if !are_free(&ends, instruments, world) {
+            return false;
+        }
+        for ((way, instrument), end) in self.ways.iter_mut().zip(instruments).zip(ends) {
+            (way.done, way.aside) = (self.substeps, Vector3::zeros());
+            instrument.place(end);
+        }
+        self.now = self.substeps;
+        true
+    }
+
+    /// Brings the instruments on by `substeps` substeps where nothing is in their way; whether it did. The world
+    /// must be at rest.
+    fn glide(&mut self, substeps: u32, instruments: &mut [&mut Instrument], world: &World) -> bool {
+        let now = self.now + substeps;
+        let next = |way: &Way| way.along(way.done + substeps, now, self.substeps);
+        let places: Places = self.ways.iter().map(next).collect();
+        if !are_free(&places, instruments, world) {
+            return false;
+        }
+        for ((way, instrument), place) in self.ways.iter_mut().zip(instruments).zip(places) {
+            (way.done, way.push) = (way.done + substeps, Push::NONE);
+            instrument.place(place);
+        }
+        self.now = now;
+        true
+    }
+
+    /// How far the instruments came.
+    pub fn arrivals(&self) -> Arrivals {
+        let arrival = |way: &Way| {
+            let (covered, aside) = (way.profile.covered(way.done, self.substeps), way.aside);
+            let is_beside = aside != Vector3::zeros();
+            Arrival {
+                covered: if is_beside { covered.min(BESIDE) } else { covered },
+                is_blocked: is_beside || way.done < self.now,
+            }
+        };
+        self.ways.iter().map(arrival).collect()
+    }
+}
+
+/// Whether no instrument meets anything on its way to its place.
+fn are_free(places: &[Posture], instruments: &[&mut Instrument], world: &World) -> bool {
+    let swept = |index: usize| instruments[index].swept(world, &places[index]);
+    (0..places.len()).all(|index| {
+        let volume = swept(index);
+        instruments[index].has_free_way(world, &volume)
+            && (0..index).all(|other| !volume.meets(&swept(other)))
+    })
+}
+
+/// Moves instruments from rest to rest within `substeps` substeps and returns the part of their way that they
+/// covered: less than 1 where one yielded.
+pub fn carry_out<const N: usize>(
+    mut instruments: [&mut Instrument; N],
+    world: &mut World,
+    ends: [Posture; N],
+    substeps: u32,
+) -> [f64; N] {
+    let starts = instruments.iter().map(|each| *each.posture());
+    let profiles = starts.zip(ends).map(|(start, end)| Profile::Smoothstep { start, end });
+    let mut motion = Motion::new(profiles.collect(), substeps);
+    motion.pass(substeps, &mut instruments, world);
+    let arrivals = motion.arrivals();
+    std::array::from_fn(|index| arrivals[index].covered)
+}
+
+#[cfg(test)]
+#[expect(clippy::float_cmp, reason = "these results are exact")]
+mod tests {
+    use nalgebra::Point3;
+
+    use super::*;
+    use crate::sim::frames::{self, Pose};
+    use crate::sim::instrument::{JAW_CLOSED, JAW_OPEN, TIP_OFFSET};
+    use crate::sim::world::{Motion, Part, SUBSTEPS_PER_SECOND, Shape, Solver};
+
+    const SUBSTEPS: u32 = 48;
+
+    /// Straight down, tip at `tip`.
+    fn down(tip: [f64; 3]) -> Posture {
+        let [x, y, z] = tip;
+        let pose = frames::pose([x, y, z + TIP_OFFSET], [std::f64::consts::PI, 0.0, 0.0]);
+        Posture { world_from_wrist: pose, jaw: JAW_CLOSED }
+    }
+
+    #[test]
+    fn instruments_far_apart_both_arrive_and_those_that_meet_stop_each_other() {
+        for (height, passes) in [(0.04, true), (0.0, false)] {
+            let mut world = World::new(Solver::LIGHT);
+            let starts = [down([-0.02, 0.0, 0.0]), down([0.02, 0.0, height])];
+            let ends = [down([0.02, 0.0, 0.0]), down([-0.02, 0.0, height])];
+            let [mut left, mut right] =
+                starts.map(|start| Instrument::insert(&mut world, start, 1.0));
+            let mut reached = [0.0; 2];
+            for _ in 0..5 {
+                reached = carry_out([&mut left, &mut right], &mut world, ends, SUBSTEPS);
+            }
+            assert_eq!(reached == [1.0; 2], passes, "{reached:?}");
+            if !passes {
+                let apart = [&left, &right].map(|arm| arm.posture().world_from_tip().translation.x);
+                assert!(apart[1] - apart[0] > 1e-3, "{apart:?}");
+                assert!(left.posture().gap(right.posture()) > -0.2e-3);
+                // Both may leave as they came.
+                let back = carry_out([&mut left, &mut right], &mut world, starts, SUBSTEPS);
+                assert_eq!(back, [1.0; 2]);
+            }
+        }
+    }
+
+    #[test]
+    fn a_finger_that_comes_down_on_a_peg_stops_there_while_objects_sleep() {
+        let mut world = World::new(Solver::LIGHT);
+        let at = |z: f64| Pose::translation(0.0, 0.0, z);
+        let cube = |half: f64| Part {
+            body_from_part: Pose::identity(),
+            shape: Shape::Cuboid(Vector3::repeat(half)),
+        };
+        world.insert(Motion::Fixed, &at(-0.05), 1.0, &[cube(0.05)]);
+        let far = Pose::translation(0.04, 0.0, 5e-3);
+        world.insert(Motion::Free { mass: 1e-3 }, &far, 1.0, &[cube(5e-3)]);
+        // The end of one open finger, 2.9 mm off the middle, comes down on the peg.
+        let (a, b) = (Point3::new(0.0, -2.6e-3, 0.0), Point3::new(0.0, -2.6e-3, 0.02));
+        let peg =
+            Part { body_from_part: Pose::identity(), shape: Shape::Capsule { a, b, radius: 1e-3 } };
+        world.insert(Motion::Fixed, &Pose::identity(), 1.0, &[peg]);
+        let open = |z: f64| Posture { jaw: JAW_OPEN, ..down([0.0, 0.0, z]) };
+        let mut arm = Instrument::insert(&mut world, open(0.025), 1.0);
+        let mut widest: f64 = 0.0;
+        for _ in 0..SUBSTEPS_PER_SECOND as u32 {
+            world.advance();
+        }
+        for _ in 0..4 {
+            let end = open(arm.posture().world_from_tip().translation.z - 0.01);
+            carry_out([&mut arm], &mut world, [end], SUBSTEPS);
+            assert!(world.at_rest());
+            widest = widest.max(arm.opening(&world));
+        }
+        // It would have come down by 40 mm.
+        let tip = arm.posture().world_from_tip().translation.z;
+        assert!(tip > 0.017, "it went on to {tip}");
+        assert!(widest < JAW_OPEN + 0.1, "forced open to {widest}");
+    }
+}

@@ -1,0 +1,59 @@
+//! How time passes for a task: a command, the substeps of the motion that it asks for, and a look at where the
+//! arms are.
+
+use super::AnyTask;
+use crate::sim::motion::{Instruments, Motion};
+use crate::sim::world::World;
+
+/// The motion of a task's arms, which may begin and end in the middle of a step.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct Time {
+    motion: Motion,
+}
+
+impl Time {
+    /// Gives `action` to the task, or lets its arms hold where there is none, within `substeps`.
+    pub(crate) fn command(
+        &mut self,
+        task: &mut dyn AnyTask,
+        world: &mut World,
+        action: Option<&[f32]>,
+        substeps: u32,
+    ) {
+        task.command(world, action);
+        let profiles = task.arms().iter().map(|arm| arm.profile().clone()).collect();
+        self.motion = Motion::new(profiles, substeps);
+    }
+
+    /// Lets `substeps` pass, at most as many as are left of the motion.
+    pub(crate) fn pass(&mut self, task: &mut dyn AnyTask, world: &mut World, substeps: u32) {
+        let mut arms = task.arms();
+        let mut instruments: Instruments<'_> =
+            arms.iter_mut().map(|arm| arm.instrument()).collect();
+        self.motion.pass(substeps, &mut instruments, world);
+    }
+
+    /// Lets the arms' sensors report where the arms are.
+    pub(crate) fn sense(&self, task: &mut dyn AnyTask) {
+        for (arm, arrival) in task.arms().iter_mut().zip(self.motion.arrivals()) {
+            arm.arrive(arrival);
+        }
+        if let Some(endoscope) = task.endoscope() {
+            endoscope.glide(self.motion.passed());
+        }
+    }
+}
+
+/// Lets a step of `substeps` pass for a task whose commands are not late.
+pub(crate) fn step(
+    task: &mut dyn AnyTask,
+    world: &mut World,
+    action: Option<&[f32]>,
+    substeps: u32,
+) {
+    let mut time = Time::default();
+    time.command(task, world, action, substeps);
+    time.pass(task, world, substeps);
+    time.sense(task);
+    task.after_step(world);
+}
