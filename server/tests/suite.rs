@@ -376,7 +376,7 @@ fn a_snapshot_goes_on_bit_by_bit_like_the_original_as_clone_and_as_bytes() {
                 begin_anew_where_it_ended(&mut env);
             }
             let bytes = env.export().unwrap();
-            let mut copies = [env.clone(), fresh.import(&bytes).unwrap()];
+            let mut copies = vec![env.clone(), fresh.import(&bytes).unwrap()];
             assert_eq!(copies[1].export().unwrap(), bytes);
             // Every second time into the next episode.
             for _ in 0..25 {
@@ -409,7 +409,7 @@ fn a_held_object_is_held_in_its_snapshots() {
         while env.steps() + 8 < env.spec().max_steps {
             env.step(&Seen::of(&env).expert).unwrap();
         }
-        let mut copies = [env.clone(), fresh.import(&env.export().unwrap()).unwrap()];
+        let mut copies = vec![env.clone(), fresh.import(&env.export().unwrap()).unwrap()];
         while !env.needs_reset() {
             let action = Seen::of(&env).expert;
             let step = env.step(&action).unwrap();

@@ -17,6 +17,7 @@ use trocar_server::sim::instrument::{CLEARANCE, JAW_CLOSED, TIP_OFFSET};
 use trocar_server::sim::random::Rng;
 use trocar_server::sim::world::{BodyId, Solver, World};
 use trocar_server::tasks::Arms;
+use trocar_server::tasks::expert::ExpertInput;
 use trocar_server::tasks::options::{self, Preset};
 use trocar_server::tasks::psm_scene::{PaperAction, PsmArm, Station, Turn};
 use trocar_server::{Registry, ServerConfig, StopSignal, Task, serve};
@@ -124,7 +125,7 @@ impl Task for PushCube {
         observation[PsmArm::OBSERVED..].copy_from_slice(achieved);
     }
 
-    fn expert(&self, world: &World, action: &mut [f32]) {
+    fn expert(&self, world: &World, _: &ExpertInput<'_>, action: &mut [f32]) {
         let (cube, tip) = (world.pose(self.cube).translation.vector, self.arm.tip());
         let low = self.height - 0.006 + CLEARANCE;
         let behind = Vector3::new(cube.x - BEHIND, cube.y, low);

@@ -5,6 +5,7 @@ use trocar_proto::spec::{Element, OptionSpec};
 
 use super::*;
 use crate::sim::world::Solver;
+use crate::tasks::expert::ExpertInput;
 use crate::tasks::{Registry, Task};
 
 /// A task whose observation stops being a number when the action is 1.
@@ -53,7 +54,7 @@ impl Task for Fragile {
         2.0 * self.0
     }
 
-    fn expert(&self, _: &World, action: &mut [f32]) {
+    fn expert(&self, _: &World, _: &ExpertInput<'_>, action: &mut [f32]) {
         action[0] = 7.0;
     }
 }

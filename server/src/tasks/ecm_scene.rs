@@ -43,6 +43,7 @@ use trocar_proto::spec::{Element, RowSpec};
 use trocar_proto::{Options, Rejection};
 
 use super::camera;
+use super::expert::Sees;
 use super::options::{self, ActionMode, Domain, Preset};
 use super::rate::Rate;
 use super::theatre;
@@ -239,6 +240,19 @@ impl EcmArm {
         self.camera_with(&joints)
     }
 
+    /// The camera as an expert sees it, world frame.
+    pub fn seen_camera(&self, sees: Sees) -> Pose {
+        match sees {
+            Sees::Truth => self.world_from_camera(),
+            Sees::Measured => self.world_from_nominal * self.rcm_from_camera,
+        }
+    }
+
+    /// The misorientation as an expert sees it, rad.
+    pub fn seen_misorientation(&self, sees: Sees) -> f64 {
+        camera::misorientation(&self.world_from_reference, &self.seen_camera(sees))
+    }
+
     /// Draws the arm as it truly is, as `ecm`, over a floor with a pattern of tiles; its camera is the
     /// endoscope.
     pub fn draw(&self, scene: &mut Scene) {
@@ -290,6 +304,18 @@ impl EcmArm {
         }
     }
 
+    /// The arm once actions that are on their way have been carried out, as its expert foresees it.
+    #[must_use]
+    pub fn ahead(&self, in_flight: &[f32]) -> Self {
+        let mut ahead = Self { disturbance: None, ..self.clone() };
+        ahead.glide(1.0);
+        for action in in_flight.chunks(self.action_elements().len()) {
+            ahead.command(Some(action));
+            ahead.glide(1.0);
+        }
+        ahead
+    }
+
     /// The action that moves the sensed camera by `step` (m, RCM frame) and the roll joint by
     /// `turn` (rad), as far as its mode can.
     pub fn encode(&self, step: &Vector3<f64>, turn: f64, action: &mut [f32]) {
@@ -313,7 +339,7 @@ impl EcmArm {
             }
         };
         for (number, value) in action.iter_mut().zip(numbers) {
-            *number = value as f32;
+            *number = value.clamp(-1.0, 1.0) as f32;
         }
     }
 
@@ -322,7 +348,7 @@ impl EcmArm {
     pub fn encode_velocity(&self, velocity: &Vector3<f64>, action: &mut [f32]) {
         if self.mode == ActionMode::Paper {
             for (number, value) in action.iter_mut().zip(velocity.iter()) {
-                *number = (value * self.velocity_sign()) as f32;
+                *number = (value * self.velocity_sign()).clamp(-1.0, 1.0) as f32;
             }
             return;
         }

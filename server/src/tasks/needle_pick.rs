@@ -99,6 +99,7 @@ use trocar_proto::goal::Reward;
 use trocar_proto::spec::OptionSpec;
 use trocar_proto::{Options, Rejection, Stage, TaskSpec};
 
+use super::expert::{ArmView, ExpertInput};
 use super::objects;
 use super::options::{self, Preset};
 use super::pick::{self, Pick};
@@ -196,7 +197,9 @@ impl Task for NeedlePick {
 
     fn prepare(&mut self, world: &mut World, rng: &mut Rng) {
         start::bring_about(self, world, rng, Self::begin, |task, world| {
-            task.pick(world).progress(&task.arm, world) >= task.start
+            let wrist = task.arm.scene_from_wrist();
+            task.pick(world, wrist, &ExpertInput::default()).progress(&task.arm, world)
+                >= task.start
         });
     }
 
@@ -246,12 +249,14 @@ impl Task for NeedlePick {
         scene.add_goal(&self.goal, theatre::GOAL_RADIUS);
     }
 
-    fn expert(&self, world: &World, action: &mut [f32]) {
-        self.pick(world).act(&self.arm, world, action);
+    fn expert(&self, world: &World, input: &ExpertInput<'_>, action: &mut [f32]) {
+        let [view] = ArmView::of([&self.arm], world, input);
+        self.pick(world, &view.aim, input).act(&view, world, input, action);
     }
 
-    fn stage(&self, world: &World) -> Stage {
-        self.pick(world).stage(&self.arm, world)
+    fn stage(&self, world: &World, input: &ExpertInput<'_>) -> Stage {
+        let [view] = ArmView::of([&self.arm], world, input);
+        self.pick(world, &view.aim, input).stage(&view, world, input)
     }
 }
 
@@ -276,14 +281,14 @@ impl NeedlePick {
         }
     }
 
-    /// What is to be done now.
-    fn pick(&self, world: &World) -> Pick {
-        let middle = self.needle.scene_from_middle(world);
+    /// What is to be done now by an arm with its wrist at `wrist`.
+    fn pick(&self, world: &World, wrist: &Pose, input: &ExpertInput<'_>) -> Pick {
+        let middle = Pose::from(input.position_error) * self.needle.scene_from_middle(world);
         let carried = middle.translation.vector;
         let wire = middle.rotation * Vector3::y();
-        let wrist = carried + Vector3::z() * (TIP_OFFSET - GRASP_DEPTH * self.needle.form().size());
-        let rotation = pick::jaws_across(&wire, self.arm.scene_from_wrist());
-        let grasp = Pose::from_parts(wrist.into(), rotation);
+        let at = carried + Vector3::z() * (TIP_OFFSET - GRASP_DEPTH * self.needle.form().size());
+        let rotation = pick::jaws_across(&wire, wrist);
+        let grasp = Pose::from_parts(at.into(), rotation);
         Pick { object: self.needle.body(), grasp, carried, goal: self.goal }
     }
 }
