@@ -149,6 +149,9 @@ const WELD_LIFT: f64 = 0.01;
 /// How far above the grasp PSM1 opens its jaws, m. Source: the original.
 const HOVER: f64 = 0.01;
 
+/// How far a block may sink below the pegs' tops while it is handed over, beside them, m.
+const SINKING: f64 = 5e-3;
+
 /// Distance from the midline at which PSM1 waits, m.
 const WAITING: f64 = 0.025;
 
@@ -323,8 +326,10 @@ impl BiPegTransfer {
         let Layout { block, target } = self.layout;
         let pose = input.pose(world, block.body());
         let up = peg_expert::way_over_pegs(block, &pose);
-        let is_low = up > 0.5 * peg_expert::PASS;
         let hand_over = self.hand_over(one, two, &pose);
+        // Once the other arm has come, what keeps clear of the pegs is high enough.
+        let least = if hand_over.is_near(one) { -SINKING } else { 0.5 * peg_expert::PASS };
+        let is_low = up > peg_expert::PASS - least;
         match hand_over.phase(two, one, world, input) {
             Phase::Under(_) if is_low => {
                 let lifting = bimanual::carried(two, Vector3::z() * up);

@@ -82,16 +82,19 @@ pub fn observe(
 }
 
 /// How near an arm is to where it offers an object before the other comes, and for as long as that goes on, m and rad.
-const OFFERED: [f64; 2] = [2e-3, 0.05];
-const STILL_OFFERED: [f64; 2] = [8e-3, 0.25];
+const OFFERED: [f64; 2] = [3e-3, 0.05];
+const STILL_OFFERED: [f64; 2] = [10e-3, 0.25];
 
-/// How far beside its grasp the taking arm may be, m, and how far turned, rad.
-const ALIGNED: f64 = 1e-3;
+/// How far off the taking arm may be before it comes, on its way, and when its jaws close, m: along their hinge and across
+/// it; and how far turned, rad.
+const ALIGNED: [f64; 2] = [2e-3, 1.5e-3];
+const COMING: [f64; 2] = [3e-3, 2.5e-3];
+const CLOSING: [f64; 2] = [3e-3, 2e-3];
 const TURNED: f64 = 0.1;
 
-/// How far short of its grasp the taking arm may be, and how far off when its jaws close, m.
-const SHORT: f64 = 0.5e-3;
-const CLOSING: f64 = 2e-3;
+/// How far short of its grasp the taking arm may be when its jaws close, and how far off while they do, m.
+const SHORT: f64 = 0.7e-3;
+const NEAR: f64 = 4e-3;
 
 /// For how long both arms hold an object before the giving one opens its jaws, s: until the taking
 /// one's have closed and what they moved is at rest.
@@ -187,28 +190,33 @@ impl HandOver {
 
     /// Whether the object is where the taker may come for it; where it is about to take it, that may be farther off.
     fn is_offered(&self, giver: &ArmView, taker: &ArmView) -> bool {
-        let is_near = distance(&taker.wrist, &self.take[1])[0] < self.hover + CLOSING;
-        let most = if is_near { STILL_OFFERED } else { OFFERED };
+        let most = if self.is_near(taker) { STILL_OFFERED } else { OFFERED };
         let off = distance(&giver.wrist, &self.offer);
         off[0] < most[0] && off[1] < most[1]
+    }
+
+    /// Whether the taker is about to take the object.
+    pub fn is_near(&self, taker: &ArmView) -> bool {
+        distance(&taker.wrist, &self.take[1])[0] < self.hover + NEAR
     }
 
     fn taking(&self, taker: &ArmView, offered: bool) -> Waypoint {
         let take = self.take[usize::from(offered)];
         let hover = take * Pose::translation(0.0, 0.0, -self.hover);
         let off = take.inv_mul(&taker.aim);
-        let turned = off.rotation.angle();
-        let aside = off.translation.vector.xy().norm();
+        let is_within = |[along, across]: [f64; 2]| {
+            let aside = off.translation.vector.map(f64::abs);
+            aside.x < along && aside.y < across && off.rotation.angle() < TURNED
+        };
         let short = -off.translation.z;
-        let is_about = aside < CLOSING && turned < 2.0 * TURNED && short.abs() < CLOSING;
-        let is_there = aside < CLOSING && turned < TURNED && short < SHORT;
-        if offered && taker.closes() && is_about && !taker.is_empty() {
-            (take, JAW_CLOSED)
-        } else if !offered || taker.closes() || !taker.is_open() {
+        let is_closing =
+            taker.closes() && !taker.is_empty() && off.translation.vector.norm() < NEAR;
+        let comes = is_within(if short < 0.8 * self.hover { COMING } else { ALIGNED });
+        if !offered || !is_closing && (taker.closes() || !taker.is_open()) {
             (hover, JAW_OPEN)
-        } else if is_there || taker.is_held_up() && is_about {
+        } else if is_closing || is_within(CLOSING) && short < SHORT {
             (take, JAW_CLOSED)
-        } else if aside < ALIGNED && turned < TURNED {
+        } else if comes && !taker.is_held_up() {
             (take, JAW_OPEN)
         } else {
             (hover, JAW_OPEN)
@@ -217,7 +225,7 @@ impl HandOver {
 
     fn has_closed(&self, taker: &ArmView) -> bool {
         let off = distance(&taker.wrist, &self.take[1]);
-        off[0] < CLOSING && off[1] < 2.0 * TURNED && taker.is_empty()
+        off[0] < NEAR && off[1] < 2.0 * TURNED && taker.is_empty()
     }
 }
 

@@ -22,18 +22,23 @@ const DEPTH: f64 = 3.5e-3;
 /// How high what is carried, and an empty jaw, pass over the pegs, m.
 pub(super) const PASS: f64 = 2e-3;
 
-/// How far off the wrist may be when it goes down, m: across the wall and along it.
-const ALIGNED: [f64; 2] = [0.6e-3, 2e-3];
+/// How deep in the block the fingers must have room when they come down, m: what is deeper pushes the block aside.
+const ENTRY: f64 = 2e-3;
 
-/// How far off it may be on its way down and when the jaws close, m.
-const ABOUT: [f64; 2] = [1.2e-3, 3e-3];
+/// How far off the wrist may be when it goes down, on its way, and when the jaws close, m: across the wall and along it.
+const ALIGNED: [f64; 2] = [0.8e-3, 2e-3];
+const COMING: [f64; 2] = [1.5e-3, 3e-3];
+const ABOUT: [f64; 2] = [2e-3, 3e-3];
 
 /// How far the jaws may be turned from where they are to close, rad.
 const TURNED: f64 = 0.06;
 
 /// How low the wrist must be for the jaws to close, m above the grasp, and where it was held up.
-const LOW: f64 = 0.5e-3;
+const LOW: f64 = 1e-3;
 const LOW_ENOUGH: f64 = 2e-3;
+
+/// How far the wrist may be from the grasp while the jaws close, m.
+const CLOSING: f64 = 4e-3;
 
 /// How far a wrist goes up that was held up on its way down, m.
 const BACK: f64 = 3e-3;
@@ -56,10 +61,10 @@ const EXACTLY: f64 = 0.4e-3;
 const OFF_AXIS: f64 = 1.5e-3;
 
 /// How exactly the block is over its target before it is let down, m.
-const OVER: f64 = 1.2e-3;
+const OVER: f64 = 1.5e-3;
 
 /// How far a block that is being let down may be off, m: more, and it is lifted again.
-const STILL_OVER: f64 = 2.5e-3;
+const STILL_OVER: f64 = 3e-3;
 
 /// Height over the board at which a block is let go, m.
 const LET_GO: f64 = 1e-3;
@@ -111,21 +116,23 @@ impl Transfer {
             return (Stage::Place, (by(Vector3::z() * up.max(0.0)), JAW_OPEN));
         }
         if held {
-            let (stage, way) = self.carry(&block, &arm.wrist);
+            let (stage, way) = self.carry(arm, &block);
             return (stage, (by(way), JAW_CLOSED));
         }
         self.pick(arm, &block)
     }
 
     /// What is done with a held block now, and the way on which it goes.
-    fn carry(&self, block: &Pose, wrist: &Pose) -> (Stage, Vector3<f64>) {
-        let goal = PegBoard::peg(self.target)
-            + outwards(self.block, block, held_wall(self.block, block, wrist)) * OFF_AXIS;
+    fn carry(&self, arm: &ArmView, block: &Pose) -> (Stage, Vector3<f64>) {
+        let held = held_wall(self.block, block, &arm.wrist);
+        let goal = PegBoard::peg(self.target) + outwards(self.block, block, held) * OFF_AXIS;
         let way = level(&(goal - block.translation.vector));
         let bottom = bottom(self.block, block);
         let passes = bottom - peg_top();
         let near = if passes < 0.0 { STILL_OVER } else { OVER };
-        if way.norm() < near {
+        if way.norm() < near && arm.is_held_up() && passes < 0.0 {
+            (Stage::Place, way + Vector3::z() * BACK) // it came down on the peg
+        } else if way.norm() < near {
             (Stage::Place, way + Vector3::z() * (PegBoard::top() - PRESS - bottom))
         } else if passes < 0.5 * PASS {
             (Stage::Lift, Vector3::z() * (PASS - passes))
@@ -159,13 +166,14 @@ impl Transfer {
         let is_turned = turn(&grasp, &arm.aim) < TURNED;
         let hover = grasp.translation.z.max(pass());
         let is_high = arm.aim.translation.z > hover - PASS;
-        let within = is_turned && is_within(if is_high { ALIGNED } else { ABOUT });
         let is_low = off.z < LOW || off.z < LOW_ENOUGH && arm.is_held_up();
-        let goes_down = within && arm.is_open() && !arm.closes();
-        let is_closing = arm.closes() && off.z < LOW_ENOUGH && within && !arm.is_empty();
-        if is_closing || goes_down && is_low {
+        let is_about = is_turned && is_within(ABOUT) && is_low;
+        let is_ready = arm.is_open() && !arm.closes();
+        let is_closing = arm.closes() && !arm.is_empty() && off.norm() < CLOSING;
+        if is_closing || is_about && is_ready {
             return (Stage::Pick, (grasp, JAW_CLOSED));
         }
+        let goes_down = is_ready && is_turned && is_within(if is_high { ALIGNED } else { COMING });
         let mut target = grasp;
         if goes_down && arm.is_held_up() {
             target.translation.z = arm.aim.translation.z + BACK;
@@ -219,9 +227,9 @@ fn grasp(block: Block, pose: &Pose, wall: usize, wrist: &Pose) -> (Pose, f64) {
     let middle = (pose * block.block_from_wall(wall)).translation.vector;
     let (sin, cos) = libm::sincos(0.5 * JAW_OPEN);
     // From the middle of open jaws: the far side of a finger at its tip, the near side at the block's
-    // top.
+    // top when the fingers enter.
     let far = TIP_OFFSET * sin + 2.0 * FINGER_HALF.y * cos;
-    let near = (TIP_OFFSET - DEPTH) * sin / cos;
+    let near = (TIP_OFFSET - ENTRY) * sin / cos;
     // So far outside the wall's middle the jaws' may be at most, and must be at least.
     let most = near - block.half_wall();
     let pegs = (0..PegBoard::PEGS).map(PegBoard::peg);
