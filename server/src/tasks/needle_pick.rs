@@ -292,3 +292,68 @@ impl NeedlePick {
         Pick { object: self.needle.body(), grasp, carried, goal: self.goal }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::tasks::{rate, time};
+
+    /// Lets the expert work for `steps` steps on what it is told.
+    fn work(task: &mut NeedlePick, world: &mut World, input: &ExpertInput<'_>, steps: u32) {
+        let spec = Task::spec(task);
+        let mut action = vec![0.0; spec.action_dim()];
+        for _ in 0..steps {
+            Task::expert(task, world, input, &mut action);
+            time::step(task, world, Some(&action), rate::substeps(spec.seconds_per_step));
+        }
+    }
+
+    fn episode(seed: u64) -> (NeedlePick, World) {
+        let options = Options::new().resolve(&NeedlePick::options()).unwrap();
+        let (mut task, mut world) = NeedlePick::new(&options).unwrap();
+        Task::reset(&mut task, &mut world, &mut Rng::new(seed, 0));
+        (task, world)
+    }
+
+    fn is_there(task: &NeedlePick, world: &World) -> bool {
+        let middle = task.needle.scene_from_middle(world).translation.vector;
+        (middle - task.goal).norm() < objects::TOLERANCE
+    }
+
+    #[test]
+    fn the_height_of_a_grasp_is_found_by_touch() {
+        for off in [-1e-3, 1e-3] {
+            let input =
+                ExpertInput { position_error: Vector3::z() * off, ..ExpertInput::default() };
+            for seed in 0..4 {
+                let (mut task, mut world) = episode(seed);
+                work(&mut task, &mut world, &input, MAX_STEPS);
+                assert!(is_there(&task, &world), "{seed}, {off} m too high");
+            }
+        }
+    }
+
+    #[test]
+    fn a_needle_that_slipped_away_is_picked_up_again() {
+        let input = ExpertInput::default();
+        for seed in 0..4 {
+            let (mut task, mut world) = episode(seed);
+            let mut taken = 0;
+            while taken == 0 || !task.arm.holds(&world, task.needle.body()) {
+                work(&mut task, &mut world, &input, 1);
+                taken += 1;
+                assert!(taken < MAX_STEPS);
+            }
+            // Out of the jaws, and a little farther.
+            let lying = world.pose(task.needle.body());
+            task.needle.lay_near_the_middle(&mut world, &mut Rng::new(seed, 1));
+            assert!(
+                (world.pose(task.needle.body()).translation.vector - lying.translation.vector)
+                    .norm()
+                    > 1e-3
+            );
+            work(&mut task, &mut world, &input, MAX_STEPS - 10);
+            assert!(is_there(&task, &world), "{seed}");
+        }
+    }
+}

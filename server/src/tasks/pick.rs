@@ -26,7 +26,7 @@ const TURNED: f64 = 0.1;
 
 /// How low the wrist must be for the jaws to close, m above the grasp, and where it was held up.
 const LOW: f64 = 0.3e-3;
-const LOW_ENOUGH: f64 = 1e-3;
+const LOW_ENOUGH: f64 = 1.5e-3;
 
 /// How far below the grasp the wrist is sent, m: what is below stops it.
 const PRESS: f64 = 2e-3;
