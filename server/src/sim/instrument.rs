@@ -87,6 +87,7 @@ impl Posture {
     }
 
     /// The way of the wrist from this posture (0) to another (1), and that of the jaw angle.
+    #[must_use]
     pub fn towards(&self, end: &Self, wrist: f64, jaw: f64) -> Self {
         let world_from_wrist =
             frames::interpolate(&self.world_from_wrist, &end.world_from_wrist, wrist);
