@@ -23,13 +23,15 @@ use std::sync::Arc;
 
 use trocar_proto::goal::Reward;
 use trocar_proto::snapshot::{self, Recipe};
+use trocar_proto::spec::Element;
 use trocar_proto::{Code, Options, Rejection, Stage, TaskSpec};
 
 use crate::error::StepError;
 use crate::render::Scene;
 use crate::sim::random::Rng;
 use crate::sim::world::World;
-use crate::tasks::options::{Domain, SCALED_LENGTH, SCALED_LENGTHS_PER_METRE};
+use crate::tasks::options::{self, Domain, SCALED_LENGTH, SCALED_LENGTHS_PER_METRE};
+use crate::tasks::proprioception::Proprioception;
 use crate::tasks::start::Starts;
 use crate::tasks::time::Time;
 use crate::tasks::{AnyTask, rate};
@@ -96,6 +98,14 @@ pub struct Env {
     /// Actions on their way, the oldest first.
     delayed: VecDeque<f32>,
     command: Vec<f32>,
+    /// Which numbers an observation has besides, or in place of, the task's.
+    own: Proprioception,
+    /// Whether an observation has the task's state, and of how many numbers that is.
+    has_state: bool,
+    state_dim: usize,
+    /// What the arms measured of themselves when they were last sensed.
+    measured: Vec<f32>,
+    terminates_on_success: bool,
     /// Actions since the episode began, as far as there is room.
     taken: Vec<f32>,
     seen: Seen,
@@ -173,6 +183,12 @@ impl Env {
             } else {
                 Beginning::World(Arc::new(world.clone()))
             },
+            own: Proprioception::of(&options),
+            has_state: options::observes_state(&options)
+                || !Proprioception::of(&options).is_wanted(),
+            state_dim: task.spec().observation_dim(),
+            measured: vec![],
+            terminates_on_success: options::terminates_on_success(&options),
             options: Arc::new(options),
             imaging: imaging.map(Arc::new),
             domain,
@@ -276,6 +292,7 @@ impl Env {
             }
         }
         self.task.reset(&mut self.world, &mut rng);
+        self.measure();
 
         let mut rng = Rng::sensor(self.seed, self.episode);
         let late = self.domain.latency_seconds.draw(&mut rng.aside());
@@ -345,6 +362,7 @@ impl Env {
         self.take_down(action);
         self.pass_noise();
         self.pass(action, 1, &mut |_| {});
+        self.measure();
         self.steps += 1;
         self.seen.is_present = false;
         let shows_finite = self.look(observation, achieved, desired);
@@ -372,12 +390,13 @@ impl Env {
             }
             _ => self.task.reward(&self.world),
         };
-        let terminated = self.task.terminated(&self.world);
+        let is_success = self.spec.is_success(achieved, desired);
+        let terminated =
+            self.task.terminated(&self.world) || (is_success && self.terminates_on_success);
         let truncated = self.steps >= self.spec.max_steps;
         if terminated || truncated {
             self.state = State::Over;
         }
-        let is_success = self.spec.is_success(achieved, desired);
         Ok(Step { reward, terminated, truncated, is_success })
     }
 
@@ -457,10 +476,17 @@ impl Env {
     /// not finite is written as 0, so that nobody's statistics are lost to one environment; whether
     /// all of it was finite.
     fn look(&self, observation: &mut [f32], achieved: &mut [f32], desired: &mut [f32]) -> bool {
-        self.task.observe(&self.world, observation, achieved, desired);
+        let (state, measured) = observation.split_at_mut(observation.len() - self.measured.len());
+        if self.has_state {
+            self.task.observe(&self.world, state, achieved, desired);
+        } else {
+            let mut state = vec![0.0; self.state_dim];
+            self.task.observe(&self.world, &mut state, achieved, desired);
+        }
+        measured.copy_from_slice(&self.measured);
         if self.noise.sigma > 0.0 {
             let mut rng = self.noise.rng.clone();
-            for (value, element) in observation.iter_mut().zip(&self.spec.observation) {
+            for (value, element) in observation.iter_mut().zip(self.noisy()) {
                 let sigma = self.noise.sigma(&element.unit);
                 if sigma > 0.0 {
                     *value += (sigma * rng.normal()) as f32;
@@ -481,10 +507,23 @@ impl Env {
         finite
     }
 
+    /// The elements that sensor noise is about: those of the state. What arms measure has their encoders' errors.
+    fn noisy(&self) -> &[Element] {
+        &self.spec.observation[..self.spec.observation.len() - self.measured.len()]
+    }
+
+    /// Lets the arms measure themselves, where observations show that.
+    fn measure(&mut self) {
+        if self.own.is_wanted() {
+            self.own.measure(self.task.as_mut(), &self.world, &mut self.measured);
+        }
+    }
+
     /// Leaves the noise of the present state behind.
     fn pass_noise(&mut self) {
         if self.noise.sigma > 0.0 {
-            for element in &self.spec.observation {
+            let count = self.noisy().len();
+            for element in &self.spec.observation[..count] {
                 if self.noise.sigma(&element.unit) > 0.0 {
                     self.noise.rng.normal();
                 }

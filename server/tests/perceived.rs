@@ -151,7 +151,8 @@ fn the_same_state_is_perceived_the_same() {
             env
         });
         let mut copies: Vec<_> = beside.collect();
-        copies.extend([imported, first.clone()]);
+        copies.push(imported);
+        copies.push(first.clone());
         for _ in 0..3 {
             let expected = look(&first);
             assert!(copies.iter().all(|copy| look(copy) == expected), "{id}");

@@ -47,7 +47,7 @@ use super::options::{self, ActionMode, Domain, Preset};
 use super::rate::Rate;
 use super::theatre;
 use crate::render::{Scene, Viewpoint};
-use crate::robots::Ecm;
+use crate::robots::{Ecm, JointLimit};
 use crate::sim::frames::{self, Aabb, Pose};
 use crate::sim::random::Rng;
 
@@ -361,6 +361,22 @@ impl EcmArm {
         for (slot, number) in observation.iter_mut().zip(numbers) {
             *slot = *number as f32;
         }
+    }
+
+    /// The elements of [`Self::measured_joints`].
+    pub fn joint_elements(&self) -> Vec<Element> {
+        let names = [("yaw", "rad"), ("pitch", "rad"), ("insertion", "m"), ("roll", "rad")];
+        let limits = self.kinematics.limits();
+        let element = |((name, unit), limit): ((&str, &str), &JointLimit)| {
+            let (min, max) = (limit.min as f32, limit.max as f32);
+            Element::new(&format!("{name} joint"), "joint", unit, min, max)
+        };
+        names.into_iter().zip(limits).map(element).collect()
+    }
+
+    /// What the joint sensors report: yaw, pitch (rad), insertion (m), roll (rad).
+    pub fn measured_joints(&self) -> [f32; 4] {
+        self.joints.map(|joint| joint as f32)
     }
 
     /// The sensed camera's extrinsic XYZ Euler angles in the world, rad.

@@ -20,6 +20,7 @@ use trocar_proto::spec::OptionSpec;
 use trocar_proto::{Code, Options, Rejection, Stage, TaskSpec};
 
 use self::ecm_scene::EcmArm;
+use self::proprioception::Proprioception;
 use self::psm_scene::PsmArm;
 use crate::env::{Env, Imaging};
 use crate::render::Scene;
@@ -48,6 +49,7 @@ pub mod peg_expert;
 pub mod peg_transfer;
 pub mod perception;
 pub mod pick;
+pub(crate) mod proprioception;
 pub mod psm_scene;
 pub mod rate;
 pub mod start;
@@ -208,17 +210,17 @@ impl Registry {
 
     /// The task `id` under `options`.
     pub fn spec(&self, id: &str, options: &Options) -> Result<TaskSpec, Rejection> {
-        let (task, world, resolved) = self.build(id, options)?;
+        let (mut task, world, resolved) = self.build(id, options)?;
         let imaging = Imaging::of(&resolved, || first_scene(task.as_ref(), &world))?;
-        Ok(spec_of(task.as_ref(), options, imaging.as_ref()))
+        Ok(spec_of(task.as_mut(), options, &resolved, imaging.as_ref()))
     }
 
     /// An environment of the task `id` under `options`; it needs a reset.
     pub fn make(&self, id: &str, options: &Options) -> Result<Env, Rejection> {
-        let (task, world, resolved) = self.build(id, options)?;
+        let (mut task, world, resolved) = self.build(id, options)?;
         let domain = options::Domain::of(&resolved)?;
         let imaging = Imaging::of(&resolved, || first_scene(task.as_ref(), &world))?;
-        let spec = spec_of(task.as_ref(), options, imaging.as_ref());
+        let spec = spec_of(task.as_mut(), options, &resolved, imaging.as_ref());
         Ok(Env::new(spec, task, world, domain, resolved, imaging))
     }
 
@@ -246,7 +248,7 @@ impl Registry {
             let allowed = format!("unknown task; this server knows {ids:?}");
             return Err(Rejection::new(Code::UnknownTask, "task", format!("{id:?}"), allowed));
         };
-        let known = options::with_images((entry.options)());
+        let known = options::with_common((entry.options)());
         let allowed = options::under_preset(known, options);
         let options = options.resolve(&allowed)?;
         let (task, world) = (entry.make)(&options)?;
@@ -254,10 +256,23 @@ impl Registry {
     }
 }
 
-/// What a task looks like; the defaults of its options are those of the preset.
-fn spec_of(task: &dyn AnyTask, options: &Options, imaging: Option<&Imaging>) -> TaskSpec {
-    let spec = task.spec();
-    let known = options::with_images(spec.options);
+/// What a task looks like under `resolved`, to which `options` were completed; the defaults of its options are
+/// those of the preset.
+fn spec_of(
+    task: &mut dyn AnyTask,
+    options: &Options,
+    resolved: &Options,
+    imaging: Option<&Imaging>,
+) -> TaskSpec {
+    let mut spec = task.spec();
+    let own = Proprioception::of(resolved);
+    if own.is_wanted() {
+        if !options::observes_state(resolved) {
+            spec.observation.clear();
+        }
+        spec.observation.extend(own.elements(task));
+    }
+    let known = options::with_common(spec.options);
     TaskSpec {
         options: options::under_preset(known, options),
         images: imaging.map(|imaging| imaging.spec().clone()),
