@@ -160,8 +160,18 @@ impl Noise {
 }
 
 impl Env {
-    /// Memory that an environment is counted with, bytes: an upper bound over the tasks.
+    /// Memory that an environment of rigid bodies is counted with, bytes: an upper bound over the tasks.
     pub const MEMORY_BYTES: u64 = 192 << 10;
+
+    /// Memory that this environment is counted with, bytes.
+    pub fn memory_bytes(&self) -> u64 {
+        Self::memory_bytes_with(&self.world)
+    }
+
+    /// The same for one with this world.
+    pub(crate) fn memory_bytes_with(world: &World) -> u64 {
+        Self::MEMORY_BYTES + world.memory_bytes()
+    }
 
     /// An environment of `task` under all of `options`, which looks like `spec` and prepared `world`; it
     /// needs a reset.

@@ -210,9 +210,19 @@ impl Registry {
 
     /// The task `id` under `options`.
     pub fn spec(&self, id: &str, options: &Options) -> Result<TaskSpec, Rejection> {
+        self.describe(id, options).map(|(spec, _)| spec)
+    }
+
+    /// The same, and the memory that an environment of it is counted with, bytes.
+    pub(crate) fn describe(
+        &self,
+        id: &str,
+        options: &Options,
+    ) -> Result<(TaskSpec, u64), Rejection> {
         let (mut task, world, resolved) = self.build(id, options)?;
         let imaging = Imaging::of(&resolved, || first_scene(task.as_ref(), &world))?;
-        Ok(spec_of(task.as_mut(), options, &resolved, imaging.as_ref()))
+        let spec = spec_of(task.as_mut(), options, &resolved, imaging.as_ref());
+        Ok((spec, Env::memory_bytes_with(&world)))
     }
 
     /// An environment of the task `id` under `options`; it needs a reset.
