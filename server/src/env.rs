@@ -46,8 +46,8 @@ pub mod recording;
 mod tests;
 
 pub use drive::Drive;
-pub(crate) use imaging::Imaging;
 pub use imaging::Pictures;
+pub(crate) use imaging::{Imaging, Shot};
 use passing::Actuation;
 
 pub(crate) use rebuild::{Identity, Rebuild};
@@ -251,8 +251,13 @@ impl Env {
     /// Where a slice has another length.
     pub fn show(&self, rgb: &mut [u8], depth: &mut [f32], mask: &mut [i32], points: &mut [f32]) {
         if let Some(imaging) = &self.imaging {
-            imaging.draw(&self.scene(), rgb, depth, mask, points);
+            imaging.draw(&mut [Shot { scene: self.scene(), rgb, depth, mask, points }]);
         }
+    }
+
+    /// How its pictures are drawn, if it has any.
+    pub(crate) fn imaging(&self) -> Option<&Arc<Imaging>> {
+        self.imaging.as_ref()
     }
 
     /// Whether an object has left the theatre: it fell off the table, or was thrown away. Observations

@@ -6,7 +6,6 @@ use super::Env;
 use crate::error::StepError;
 use crate::sim::instrument::Posture;
 use crate::sim::motion::{Arrival, Instruments, MAX_INSTRUMENTS, Motion, Profiles};
-use crate::tasks::psm_scene::PsmArm;
 
 /// The instrument arms of an environment in the hands of a controller: it gives set-points that may change at every
 /// substep, and what stops a step's motion stops these, too. Observations, goals and success are those of the
@@ -26,8 +25,8 @@ impl Env {
             return Err(StepError::ResetNeeded);
         }
         self.is_driven = true;
-        let here = |arm: &mut &mut PsmArm| *arm.instrument().posture();
-        let motion = Motion::streamed(self.task.arms().iter_mut().map(here));
+        let arms = self.task.arms().into_iter();
+        let motion = Motion::streamed(arms.map(|arm| *arm.instrument().posture()));
         Ok(Drive { env: self, motion, is_sensed: true })
     }
 }
