@@ -33,6 +33,7 @@ use crate::tasks::AnyTask;
 use crate::tasks::options::{Domain, SCALED_LENGTH, SCALED_LENGTHS_PER_METRE};
 use crate::tasks::start::Starts;
 
+mod bounds;
 mod imaging;
 mod rebuild;
 pub mod recording;
@@ -40,6 +41,8 @@ pub mod recording;
 #[expect(clippy::float_cmp, reason = "these results are exact")]
 mod tests;
 
+pub use bounds::Excess;
+use bounds::{Excesses, bounded};
 pub(crate) use imaging::Imaging;
 pub use imaging::Pictures;
 
@@ -88,6 +91,8 @@ pub struct Env {
     /// Actions since the episode began, as far as there is room.
     taken: Vec<f32>,
     seen: Seen,
+    /// What was clamped and should not have had to be.
+    excesses: Excesses,
 }
 
 /// What [`Env::step`] saw, so that [`Env::observe`] need not look again.
@@ -182,6 +187,7 @@ impl Env {
                 desired: vec![0.0; goal],
                 is_present: false,
             },
+            excesses: Excesses::default(),
         }
     }
 
@@ -397,7 +403,8 @@ impl Env {
     /// Writes the scripted expert's action for the present state.
     pub fn expert(&self, action: &mut [f32]) {
         self.task.expert(&self.world, action);
-        for number in action {
+        for (number, element) in action.iter_mut().zip(&self.spec.action) {
+            self.check_bounds("expert", *number, element);
             *number = number.clamp(-1.0, 1.0);
         }
     }
@@ -446,26 +453,30 @@ impl Env {
         arrived
     }
 
-    /// Writes what is seen now: with this episode's noise on positions, within the bounds. What is
+    /// Writes what is seen now: with this episode's noise on observed positions, within the bounds. What is
     /// not finite is written as 0, so that nobody's statistics are lost to one environment; whether
     /// all of it was finite.
     fn look(&self, observation: &mut [f32], achieved: &mut [f32], desired: &mut [f32]) -> bool {
         self.task.observe(&self.world, observation, achieved, desired);
-        if self.noise.sigma > 0.0 {
-            let mut rng = self.noise.rng.clone();
-            for (value, element) in observation.iter_mut().zip(&self.spec.observation) {
+        let mut rng = (self.noise.sigma > 0.0).then(|| self.noise.rng.clone());
+        for (value, element) in observation.iter_mut().zip(&self.spec.observation) {
+            self.check_bounds("observation", *value, element);
+            if let Some(rng) = &mut rng {
                 let sigma = self.noise.sigma(&element.unit);
                 if sigma > 0.0 {
                     *value += (sigma * rng.normal()) as f32;
                 }
             }
+            *value = bounded(*value, element);
         }
-        let mut finite = true;
-        for (value, element) in observation.iter_mut().zip(&self.spec.observation) {
-            if value.is_finite() {
-                *value = value.clamp(element.min, element.max);
+        let elements = self.spec.goal.as_ref().map_or(&[][..], |goal| &goal.elements);
+        for (what, goal) in [("achieved", &mut *achieved), ("desired", &mut *desired)] {
+            for (value, element) in goal.iter_mut().zip(elements) {
+                self.check_bounds(what, *value, element);
+                *value = bounded(*value, element);
             }
         }
+        let mut finite = true;
         for number in observation.iter_mut().chain(achieved).chain(desired) {
             if !number.is_finite() {
                 (*number, finite) = (0.0, false);

@@ -255,7 +255,7 @@ impl EcmArm {
     /// `turn` (rad), as far as its mode can.
     pub fn encode(&self, step: &Vector3<f64>, turn: f64, action: &mut [f32]) {
         let d = step / STEP_LENGTH;
-        let roll = turn / STEP_ROLL;
+        let roll = (turn / STEP_ROLL).clamp(-1.0, 1.0);
         let numbers = match (self.mode, self.control) {
             (ActionMode::Paper, Control::Roll) => [roll, 0.0, 0.0, 0.0],
             (ActionMode::Paper | ActionMode::Cartesian, _) => [d.x, d.y, d.z, roll],
@@ -268,7 +268,8 @@ impl EcmArm {
             (ActionMode::Joint, _) => {
                 let joints = self.moved(step, self.joints[3] + turn).unwrap_or(self.joints);
                 std::array::from_fn(|joint| {
-                    (joints[joint] - self.joints[joint]) / JOINT_STEPS[joint]
+                    let steps = (joints[joint] - self.joints[joint]) / JOINT_STEPS[joint];
+                    steps.clamp(-1.0, 1.0)
                 })
             }
         };

@@ -29,7 +29,8 @@ impl PsmArm {
                     Turn::Vertical => turned.z / STEP_ANGLE,
                     Turn::Pitch => {
                         let pitch = |pose: &Pose| pitch_of(self.index, &pose.rotation);
-                        (pitch(target) - pitch(now)) / STEP_PITCH
+                        let turn = (pitch(target) - pitch(now)) / STEP_PITCH;
+                        turn.clamp(-1.0, 1.0)
                     }
                 };
                 [d.x, d.y, d.z, turn, opening, 0.0, 0.0]
@@ -41,6 +42,7 @@ impl PsmArm {
             ActionMode::CartesianAbs => {
                 let half = (self.reach.max - self.reach.min) * 0.5;
                 let p = (target.translation.vector - self.reach.centre()).component_div(&half);
+                let p = p.map(|number| number.clamp(-1.0, 1.0));
                 let r = (target.rotation * down().inverse()).scaled_axis() / PI;
                 [p.x, p.y, p.z, r.x, r.y, r.z, opening]
             }
