@@ -42,7 +42,7 @@ pub mod recording;
 mod tests;
 
 pub use bounds::Excess;
-use bounds::{Excesses, bounded};
+use bounds::{Excesses, bound};
 pub(crate) use imaging::Imaging;
 pub use imaging::Pictures;
 
@@ -458,29 +458,24 @@ impl Env {
     /// all of it was finite.
     fn look(&self, observation: &mut [f32], achieved: &mut [f32], desired: &mut [f32]) -> bool {
         self.task.observe(&self.world, observation, achieved, desired);
-        let mut rng = (self.noise.sigma > 0.0).then(|| self.noise.rng.clone());
-        for (value, element) in observation.iter_mut().zip(&self.spec.observation) {
-            self.check_bounds("observation", *value, element);
-            if let Some(rng) = &mut rng {
+        let mut finite = true;
+        let elements = &self.spec.observation;
+        if self.noise.sigma > 0.0 {
+            let mut rng = self.noise.rng.clone();
+            for (value, element) in observation.iter_mut().zip(elements) {
+                self.check_bounds("observation", *value, element);
                 let sigma = self.noise.sigma(&element.unit);
                 if sigma > 0.0 {
                     *value += (sigma * rng.normal()) as f32;
                 }
+                finite &= bound(value, element);
             }
-            *value = bounded(*value, element);
+        } else {
+            finite &= self.bound_all("observation", observation, elements);
         }
-        let elements = self.spec.goal.as_ref().map_or(&[][..], |goal| &goal.elements);
-        for (what, goal) in [("achieved", &mut *achieved), ("desired", &mut *desired)] {
-            for (value, element) in goal.iter_mut().zip(elements) {
-                self.check_bounds(what, *value, element);
-                *value = bounded(*value, element);
-            }
-        }
-        let mut finite = true;
-        for number in observation.iter_mut().chain(achieved).chain(desired) {
-            if !number.is_finite() {
-                (*number, finite) = (0.0, false);
-            }
+        if let Some(goal) = &self.spec.goal {
+            finite &= self.bound_all("achieved", achieved, &goal.elements);
+            finite &= self.bound_all("desired", desired, &goal.elements);
         }
         finite
     }

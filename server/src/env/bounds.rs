@@ -50,22 +50,41 @@ impl Env {
         self.excesses.get()
     }
 
+    /// Brings the numbers of `what` into the ranges of their elements; whether all were finite.
+    pub(super) fn bound_all(&self, what: &str, numbers: &mut [f32], elements: &[Element]) -> bool {
+        let mut finite = true;
+        for (number, element) in numbers.iter_mut().zip(elements) {
+            // Nearly always it is inside, and finite therefore.
+            if !is_inside(*number, element) {
+                self.note_excess(what, *number, element);
+                finite &= bound(number, element);
+            }
+        }
+        finite
+    }
+
     /// Notes a `number` of `what` that is outside the range of its element.
     pub(super) fn check_bounds(&self, what: &str, number: f32, element: &Element) {
-        if number.is_finite() && !(element.min..=element.max).contains(&number) {
+        if !is_inside(number, element) {
             self.note_excess(what, number, element);
         }
     }
 
     #[cold]
     fn note_excess(&self, what: &str, number: f32, element: &Element) {
-        if !(element.saturates && self.has_lost_objects()) {
+        if number.is_finite() && !(element.saturates && self.has_lost_objects()) {
             self.excesses.note(format!("{what}: {}", element.name), number, element);
         }
     }
 }
 
-/// `number` in the range of `element`; what is not finite stays.
-pub(super) fn bounded(number: f32, element: &Element) -> f32 {
-    if number.is_finite() { number.clamp(element.min, element.max) } else { number }
+fn is_inside(number: f32, element: &Element) -> bool {
+    element.min <= number && number <= element.max
+}
+
+/// Brings a number into the range of its element, and to 0 where it is not finite; whether it was.
+pub(super) fn bound(number: &mut f32, element: &Element) -> bool {
+    let is_finite = number.is_finite();
+    *number = if is_finite { number.clamp(element.min, element.max) } else { 0.0 };
+    is_finite
 }
