@@ -36,6 +36,7 @@ use crate::tasks::start::Starts;
 use crate::tasks::time::Time;
 use crate::tasks::{AnyTask, rate};
 
+mod bounds;
 mod drive;
 mod imaging;
 mod passing;
@@ -45,6 +46,8 @@ pub mod recording;
 #[expect(clippy::float_cmp, reason = "these results are exact")]
 mod tests;
 
+pub use bounds::Excess;
+use bounds::{Excesses, bound};
 pub use drive::Drive;
 pub use imaging::Pictures;
 pub(crate) use imaging::{Imaging, Shot};
@@ -109,6 +112,8 @@ pub struct Env {
     /// Actions since the episode began, as far as there is room.
     taken: Vec<f32>,
     seen: Seen,
+    /// What was clamped and should not have had to be.
+    excesses: Excesses,
 }
 
 /// What [`Env::step`] saw, so that [`Env::observe`] need not look again.
@@ -223,6 +228,7 @@ impl Env {
                 desired: vec![0.0; goal],
                 is_present: false,
             },
+            excesses: Excesses::default(),
         }
     }
 
@@ -449,7 +455,8 @@ impl Env {
     /// Writes the scripted expert's action for the present state.
     pub fn expert(&self, action: &mut [f32]) {
         self.task.expert(&self.world, action);
-        for number in action {
+        for (number, element) in action.iter_mut().zip(&self.spec.action) {
+            self.check_bounds("expert", *number, element);
             *number = number.clamp(-1.0, 1.0);
         }
     }
@@ -487,11 +494,12 @@ impl Env {
         }
     }
 
-    /// Writes what is seen now: with this episode's noise on positions, within the bounds. What is
+    /// Writes what is seen now: with this episode's noise on observed positions, within the bounds. What is
     /// not finite is written as 0, so that nobody's statistics are lost to one environment; whether
     /// all of it was finite.
     fn look(&self, observation: &mut [f32], achieved: &mut [f32], desired: &mut [f32]) -> bool {
         let (state, measured) = observation.split_at_mut(observation.len() - self.measured.len());
+        let (elements, own) = self.spec.observation.split_at(state.len());
         if self.has_state {
             self.task.observe(&self.world, state, achieved, desired);
         } else {
@@ -499,25 +507,23 @@ impl Env {
             self.task.observe(&self.world, &mut state, achieved, desired);
         }
         measured.copy_from_slice(&self.measured);
+        let mut finite = self.bound_all("observation", measured, own);
         if self.noise.sigma > 0.0 {
             let mut rng = self.noise.rng.clone();
-            for (value, element) in observation.iter_mut().zip(self.noisy()) {
+            for (value, element) in state.iter_mut().zip(elements) {
+                self.check_bounds("observation", *value, element);
                 let sigma = self.noise.sigma(&element.unit);
                 if sigma > 0.0 {
                     *value += (sigma * rng.normal()) as f32;
                 }
+                finite &= bound(value, element);
             }
+        } else {
+            finite &= self.bound_all("observation", state, elements);
         }
-        let mut finite = true;
-        for (value, element) in observation.iter_mut().zip(&self.spec.observation) {
-            if value.is_finite() {
-                *value = value.clamp(element.min, element.max);
-            }
-        }
-        for number in observation.iter_mut().chain(achieved).chain(desired) {
-            if !number.is_finite() {
-                (*number, finite) = (0.0, false);
-            }
+        if let Some(goal) = &self.spec.goal {
+            finite &= self.bound_all("achieved", achieved, &goal.elements);
+            finite &= self.bound_all("desired", desired, &goal.elements);
         }
         finite
     }

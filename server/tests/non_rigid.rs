@@ -202,7 +202,7 @@ fn it_is_in_the_bits_in_copies_and_in_snapshots() {
     let mut env = env();
     env.step(&[0.0]).unwrap();
     let bits = |env: &Env| env.world().bits().collect::<Vec<_>>();
-    let mut copies = [env.clone(), env.import(&env.export().unwrap()).unwrap()];
+    let mut copies = vec![env.clone(), env.import(&env.export().unwrap()).unwrap()];
     let before = bits(&env);
     env.step(&[0.0]).unwrap();
     // The last 32 words are the rope's: eight heights and velocities.
@@ -225,7 +225,7 @@ fn it_is_met_drawn_counted_and_ends_the_episode_where_it_is_not_finite() {
     let rope = scene.body("rope").unwrap();
     let camera = scene.camera(Lens::Overview, 160, 120).unwrap();
     let picture = Software::default().picture(&scene, &camera);
-    let seen = picture.mask.iter().filter(|body| **body == i32::from(rope)).count();
+    let seen = picture.mask.iter().filter(|body| **body == rope).count();
     assert!(seen > 20, "{seen} pixels of the rope");
 
     let step = env.step(&[1.0]);

@@ -295,7 +295,7 @@ impl EcmArm {
     pub fn encode(&self, step: &Vector3<f64>, turn: f64, action: &mut [f32]) {
         let scale = self.rate.scale();
         let d = step / (STEP_LENGTH * scale);
-        let roll = turn / (STEP_ROLL * scale);
+        let roll = (turn / (STEP_ROLL * scale)).clamp(-1.0, 1.0);
         let numbers = match (self.mode, self.control) {
             (ActionMode::Paper, Control::Roll) => [roll, 0.0, 0.0, 0.0],
             (ActionMode::Paper | ActionMode::Cartesian, _) => [d.x, d.y, d.z, roll],
@@ -308,7 +308,8 @@ impl EcmArm {
             (ActionMode::Joint, _) => {
                 let joints = self.moved(step, self.joints[3] + turn).unwrap_or(self.joints);
                 std::array::from_fn(|joint| {
-                    (joints[joint] - self.joints[joint]) / (JOINT_STEPS[joint] * scale)
+                    let steps = joints[joint] - self.joints[joint];
+                    (steps / (JOINT_STEPS[joint] * scale)).clamp(-1.0, 1.0)
                 })
             }
         };

@@ -456,10 +456,14 @@ impl PsmArm {
 
     /// The elements of [`Self::observe`].
     pub fn observation_elements(&self) -> Vec<Element> {
-        let mut elements =
-            options::position_elements("wrist", "scene", &self.reach.grown(1e-3), self.preset);
+        self.observation_elements_within(&self.reach.grown(1e-3))
+    }
+
+    /// The same for an arm whose wrist stays in `bounds`, m.
+    pub fn observation_elements_within(&self, bounds: &Aabb) -> Vec<Element> {
+        let mut elements = options::position_elements("wrist", "scene", bounds, self.preset);
         elements.extend(options::euler_elements("wrist link", "scene"));
-        elements.push(Element::new("jaw", "", "rad", -0.1, 1.0));
+        elements.push(Element::new("jaw", "", "rad", -0.1, instrument::FORCED_OPEN as f32));
         elements
     }
 

@@ -31,7 +31,8 @@ impl PsmArm {
                     Turn::Vertical => turned.z / angle,
                     Turn::Pitch => {
                         let pitch = |pose: &Pose| pitch_of(self.index, &pose.rotation);
-                        (pitch(target) - pitch(now)) / (STEP_PITCH * scale)
+                        let turn = (pitch(target) - pitch(now)) / (STEP_PITCH * scale);
+                        turn.clamp(-1.0, 1.0)
                     }
                 };
                 [d.x, d.y, d.z, turn, opening, 0.0, 0.0]
@@ -43,6 +44,7 @@ impl PsmArm {
             ActionMode::CartesianAbs => {
                 let half = (self.reach.max - self.reach.min) * 0.5;
                 let p = (target.translation.vector - self.reach.centre()).component_div(&half);
+                let p = p.map(|number| number.clamp(-1.0, 1.0));
                 let r = (target.rotation * down().inverse()).scaled_axis() / PI;
                 [p.x, p.y, p.z, r.x, r.y, r.z, opening]
             }
