@@ -55,6 +55,11 @@ pictures: ## assets/pictures/<task>.png: a picture of every task, for the README
 	$(CARGO) build --release --locked -p trocar
 	$(TARGET)/release/trocar render --each assets/pictures
 
+# What `experts_do_as_well_as_the_table_says_and_stay_in_bounds` expects.
+.PHONY: experts
+experts: ## server/tests/fixtures/experts.tsv: with which seeds the scripted experts fail
+	TROCAR_WRITE_EXPERTS=1 $(CARGO) test --locked -p trocar-server --test experts
+
 .PHONY: picture-viewer
 picture-viewer: $(VENV)/ready ## * assets/pictures/viewer.png: the live viewer, as test-browser sees it
 	$(CARGO) build --release --locked -p trocar
@@ -107,6 +112,7 @@ test-rust: ## Rust: unit, task suite, command, multi-process (reduced counts)
 test-python: develop ## * Python with the newest Gymnasium: types, stubs, tests
 	cd client-py && $(BIN)/mypy && for worker in demo bench load; do $(BIN)/mypy ../server/cli/src/$$worker/worker.py; done
 	cd client-py && TROCAR_BINARY=$(TARGET)/debug/trocar $(BIN)/python -m pytest
+	TROCAR_PYTHON=$(BIN)/python $(CARGO) test $(RUST) --test load python_clients
 
 .PHONY: test-wheels
 test-wheels: $(VENV)/ready ## * both wheels with the oldest Gymnasium, without Rust on the PATH

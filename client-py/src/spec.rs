@@ -216,20 +216,21 @@ pub(crate) struct Element {
     unit: String,
     min: f32,
     max: f32,
+    saturates: bool,
 }
 
 #[pymethods]
 impl Element {
     fn __repr__(&self) -> String {
-        let Self { name, frame, unit, min, max } = self;
+        let Self { name, frame, unit, min, max, .. } = self;
         format!("<{name} in [{min}, {max}] {unit}, frame {frame:?}>")
     }
 }
 
 fn elements(elements: &[spec::Element]) -> Vec<Element> {
     let copy = |element: &spec::Element| {
-        let spec::Element { name, frame, unit, min, max } = element.clone();
-        Element { name, frame, unit, min, max }
+        let spec::Element { name, frame, unit, min, max, saturates } = element.clone();
+        Element { name, frame, unit, min, max, saturates }
     };
     elements.iter().map(copy).collect()
 }

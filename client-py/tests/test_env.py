@@ -61,7 +61,7 @@ def test_gymnasiums_checker_is_content(task: str, server: str) -> None:
 
 
 def test_every_registered_task_is_known_to_the_server(server: str) -> None:
-    assert set(TASKS) <= set(Client.connect(server).tasks())
+    assert set(TASKS) == set(Client.connect(server).tasks())
 
 
 def test_registered_episode_length_is_the_servers(task: str, server: str) -> None:

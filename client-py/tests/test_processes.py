@@ -242,6 +242,8 @@ def test_a_forked_child_opens_a_session_of_its_own(server: str, script: Script) 
                 env.step(action)
             except trocar.errors.ForkedError as error:
                 assert str(os.getppid()) in str(error), error
+            else:
+                raise AssertionError("the child stepped its parent's session")
             assert (env.reset(seed=4)[0]["observation"] == start).all()
             env.step(-action)
             del other

@@ -49,4 +49,4 @@ pub use spec::{OptionValue, Options, TaskSpec};
 pub use stage::Stage;
 
 /// Version of everything in this crate; both sides must have the same.
-pub const PROTOCOL_VERSION: u32 = 6;
+pub const PROTOCOL_VERSION: u32 = 7;

@@ -74,12 +74,21 @@ pub struct Element {
     pub min: f32,
     /// Largest value.
     pub max: f32,
+    /// Whether an object that is lost leaves `[min, max]`; the element then stays at the edge.
+    pub saturates: bool,
 }
 
 impl Element {
-    /// An element in `[min, max]`.
+    /// An element that stays in `[min, max]` whatever happens.
     pub fn new(name: &str, frame: &str, unit: &str, min: f32, max: f32) -> Self {
-        Self { name: name.into(), frame: frame.into(), unit: unit.into(), min, max }
+        let [name, frame, unit] = [name, frame, unit].map(String::from);
+        Self { name, frame, unit, min, max, saturates: false }
+    }
+
+    /// The same element, which an object that is lost takes to its edge.
+    #[must_use]
+    pub fn saturating(self) -> Self {
+        Self { saturates: true, ..self }
     }
 }
 

@@ -23,6 +23,7 @@ use std::sync::Arc;
 use nalgebra::Vector3;
 use trocar_proto::goal::Reward;
 use trocar_proto::snapshot::{self, Recipe};
+use trocar_proto::spec::Element;
 use trocar_proto::{Code, Options, Rejection, Stage, TaskSpec};
 
 use crate::error::StepError;
@@ -30,11 +31,13 @@ use crate::render::Scene;
 use crate::sim::random::Rng;
 use crate::sim::world::World;
 use crate::tasks::expert::{ExpertInput, Sees};
-use crate::tasks::options::{Domain, SCALED_LENGTH, SCALED_LENGTHS_PER_METRE};
+use crate::tasks::options::{self, Domain, SCALED_LENGTH, SCALED_LENGTHS_PER_METRE};
+use crate::tasks::proprioception::Proprioception;
 use crate::tasks::start::Starts;
 use crate::tasks::time::Time;
 use crate::tasks::{AnyTask, rate};
 
+mod bounds;
 mod drive;
 mod imaging;
 mod passing;
@@ -44,9 +47,11 @@ pub mod recording;
 #[expect(clippy::float_cmp, reason = "these results are exact")]
 mod tests;
 
+pub use bounds::Excess;
+use bounds::{Excesses, bound};
 pub use drive::Drive;
-pub(crate) use imaging::Imaging;
 pub use imaging::Pictures;
+pub(crate) use imaging::{Imaging, Shot};
 use passing::Actuation;
 
 pub(crate) use rebuild::{Identity, Rebuild};
@@ -98,9 +103,19 @@ pub struct Env {
     /// Actions on their way, the oldest first.
     delayed: Vec<f32>,
     command: Vec<f32>,
+    /// Which numbers an observation has besides, or in place of, the task's.
+    own: Proprioception,
+    /// Whether an observation has the task's state, and of how many numbers that is.
+    has_state: bool,
+    state_dim: usize,
+    /// What the arms measured of themselves when they were last sensed.
+    measured: Vec<f32>,
+    terminates_on_success: bool,
     /// Actions since the episode began, as far as there is room.
     taken: Vec<f32>,
     seen: Seen,
+    /// What was clamped and should not have had to be.
+    excesses: Excesses,
 }
 
 /// What [`Env::step`] saw, so that [`Env::observe`] need not look again.
@@ -152,8 +167,18 @@ impl Noise {
 }
 
 impl Env {
-    /// Memory that an environment is counted with, bytes: an upper bound over the tasks.
+    /// Memory that an environment of rigid bodies is counted with, bytes: an upper bound over the tasks.
     pub const MEMORY_BYTES: u64 = 192 << 10;
+
+    /// Memory that this environment is counted with, bytes.
+    pub fn memory_bytes(&self) -> u64 {
+        Self::memory_bytes_with(&self.world)
+    }
+
+    /// The same for one with this world.
+    pub(crate) fn memory_bytes_with(world: &World) -> u64 {
+        Self::MEMORY_BYTES + world.memory_bytes()
+    }
 
     /// An environment of `task` under all of `options`, which looks like `spec` and prepared `world`; it
     /// needs a reset.
@@ -176,6 +201,12 @@ impl Env {
                 Beginning::World(Arc::new(world.clone()))
             },
             expert_sees: Sees::of(&options),
+            own: Proprioception::of(&options),
+            has_state: options::observes_state(&options)
+                || !Proprioception::of(&options).is_wanted(),
+            state_dim: task.spec().observation_dim(),
+            measured: vec![],
+            terminates_on_success: options::terminates_on_success(&options),
             options: Arc::new(options),
             imaging: imaging.map(Arc::new),
             domain,
@@ -200,6 +231,7 @@ impl Env {
                 desired: vec![0.0; goal],
                 is_present: false,
             },
+            excesses: Excesses::default(),
         }
     }
 
@@ -228,8 +260,13 @@ impl Env {
     /// Where a slice has another length.
     pub fn show(&self, rgb: &mut [u8], depth: &mut [f32], mask: &mut [i32], points: &mut [f32]) {
         if let Some(imaging) = &self.imaging {
-            imaging.draw(&self.scene(), rgb, depth, mask, points);
+            imaging.draw(&mut [Shot { scene: self.scene(), rgb, depth, mask, points }]);
         }
+    }
+
+    /// How its pictures are drawn, if it has any.
+    pub(crate) fn imaging(&self) -> Option<&Arc<Imaging>> {
+        self.imaging.as_ref()
     }
 
     /// Whether an object has left the theatre: it fell off the table, or was thrown away. Observations
@@ -279,6 +316,7 @@ impl Env {
             }
         }
         self.task.reset(&mut self.world, &mut rng);
+        self.measure();
 
         let mut rng = Rng::sensor(self.seed, self.episode);
         let late = self.domain.latency_seconds.draw(&mut rng.aside());
@@ -348,6 +386,7 @@ impl Env {
         self.take_down(action);
         self.pass_noise();
         self.pass(action, 1, &mut |_| {});
+        self.measure();
         self.steps += 1;
         self.seen.is_present = false;
         let shows_finite = self.look(observation, achieved, desired);
@@ -375,12 +414,13 @@ impl Env {
             }
             _ => self.task.reward(&self.world),
         };
-        let terminated = self.task.terminated(&self.world);
+        let is_success = self.spec.is_success(achieved, desired);
+        let terminated =
+            self.task.terminated(&self.world) || (is_success && self.terminates_on_success);
         let truncated = self.steps >= self.spec.max_steps;
         if terminated || truncated {
             self.state = State::Over;
         }
-        let is_success = self.spec.is_success(achieved, desired);
         Ok(Step { reward, terminated, truncated, is_success })
     }
 
@@ -418,7 +458,8 @@ impl Env {
     /// Writes the scripted expert's action for the present state.
     pub fn expert(&self, action: &mut [f32]) {
         self.task.expert(&self.world, &self.expert_input(), action);
-        for number in action {
+        for (number, element) in action.iter_mut().zip(&self.spec.action) {
+            self.check_bounds("expert", *number, element);
             *number = number.clamp(-1.0, 1.0);
         }
     }
@@ -467,38 +508,57 @@ impl Env {
         }
     }
 
-    /// Writes what is seen now: with this episode's noise on positions, within the bounds. What is
+    /// Writes what is seen now: with this episode's noise on observed positions, within the bounds. What is
     /// not finite is written as 0, so that nobody's statistics are lost to one environment; whether
     /// all of it was finite.
     fn look(&self, observation: &mut [f32], achieved: &mut [f32], desired: &mut [f32]) -> bool {
-        self.task.observe(&self.world, observation, achieved, desired);
+        let (state, measured) = observation.split_at_mut(observation.len() - self.measured.len());
+        let (elements, own) = self.spec.observation.split_at(state.len());
+        if self.has_state {
+            self.task.observe(&self.world, state, achieved, desired);
+        } else {
+            let mut state = vec![0.0; self.state_dim];
+            self.task.observe(&self.world, &mut state, achieved, desired);
+        }
+        measured.copy_from_slice(&self.measured);
+        let mut finite = self.bound_all("observation", measured, own);
         if self.noise.sigma > 0.0 {
             let mut rng = self.noise.rng.clone();
-            for (value, element) in observation.iter_mut().zip(&self.spec.observation) {
+            for (value, element) in state.iter_mut().zip(elements) {
+                self.check_bounds("observation", *value, element);
                 let sigma = self.noise.sigma(&element.unit);
                 if sigma > 0.0 {
                     *value += (sigma * rng.normal()) as f32;
                 }
+                finite &= bound(value, element);
             }
+        } else {
+            finite &= self.bound_all("observation", state, elements);
         }
-        let mut finite = true;
-        for (value, element) in observation.iter_mut().zip(&self.spec.observation) {
-            if value.is_finite() {
-                *value = value.clamp(element.min, element.max);
-            }
-        }
-        for number in observation.iter_mut().chain(achieved).chain(desired) {
-            if !number.is_finite() {
-                (*number, finite) = (0.0, false);
-            }
+        if let Some(goal) = &self.spec.goal {
+            finite &= self.bound_all("achieved", achieved, &goal.elements);
+            finite &= self.bound_all("desired", desired, &goal.elements);
         }
         finite
+    }
+
+    /// The elements that sensor noise is about: those of the state. What arms measure has their encoders' errors.
+    fn noisy(&self) -> &[Element] {
+        &self.spec.observation[..self.spec.observation.len() - self.measured.len()]
+    }
+
+    /// Lets the arms measure themselves, where observations show that.
+    fn measure(&mut self) {
+        if self.own.is_wanted() {
+            self.own.measure(self.task.as_mut(), &self.world, &mut self.measured);
+        }
     }
 
     /// Leaves the noise of the present state behind.
     fn pass_noise(&mut self) {
         if self.noise.sigma > 0.0 {
-            for element in &self.spec.observation {
+            let count = self.noisy().len();
+            for element in &self.spec.observation[..count] {
                 if self.noise.sigma(&element.unit) > 0.0 {
                     self.noise.rng.normal();
                 }

@@ -10,8 +10,8 @@ use trocar_server::Env;
 use trocar_server::tasks::Registry;
 
 fn domain(rows: &[(&str, f64)]) -> OptionValue {
-    let rows = rows.iter().map(|(row, value)| (row.to_string(), vec![*value; 2]));
-    OptionValue::Table(BTreeMap::from_iter(rows))
+    let rows = rows.iter().map(|(row, value)| ((*row).to_string(), vec![*value; 2]));
+    OptionValue::Table(rows.collect::<BTreeMap<_, _>>())
 }
 
 fn make(task: &str, options: &Options) -> Env {

@@ -317,6 +317,9 @@ class Element:
     @property
     def max(self) -> float:
         """Largest value."""
+    @property
+    def saturates(self) -> bool:
+        """Whether an object that is lost leaves the range; the element then stays at the edge."""
     def __eq__(self, other: object, /) -> bool: ...
     __hash__: None  # type: ignore[assignment]
 

@@ -92,7 +92,7 @@ impl Assignment {
         };
         match (&option.allowed, &self.row) {
             (Allowed::Flag, None) => self.text.parse().map_or_else(|_| word(), OptionValue::Flag),
-            (Allowed::Range { .. }, None) => {
+            (Allowed::Range { .. } | Allowed::NumberOf(_), None) => {
                 self.text.parse().map_or_else(|_| word(), OptionValue::Number)
             }
             (Allowed::SomeOf(_), None) => {
@@ -174,6 +174,7 @@ pub(crate) fn allowed_json(allowed: &Allowed) -> Value {
     match allowed {
         Allowed::Flag => json!([true, false]),
         Allowed::Range { min, max } => json!({"min": min, "max": max}),
+        Allowed::NumberOf(numbers) => json!(numbers),
         Allowed::OneOf(words) => json!(words),
         Allowed::SomeOf(words) => json!({"some_of": words}),
         Allowed::Vector { count, min, max } => json!({"count": count, "min": min, "max": max}),

@@ -227,9 +227,6 @@ fn a_bench_measures_every_mode_that_it_can() {
                     "threads"
                 ]
             );
-            for rate in ["steps_per_second", "steps_per_cpu_second", "ratio_to_in_process"] {
-                assert!(row[rate].as_f64().unwrap() > 0.0, "{row}");
-            }
             assert_eq!((&row["task"], &row["threads"]), (&"EcmReach-v0".into(), &1.into()));
             let word = |key: &str| row[key].as_str().unwrap().to_string();
             (word("policy"), row["envs"].as_u64().unwrap(), word("mode"))
@@ -244,6 +241,14 @@ fn a_bench_measures_every_mode_that_it_can() {
         }
     }
     assert_eq!(measured, expected);
+    // Each row of a client follows the one in-process that it is compared with.
+    let rate = |row: &Value, name: &str| row[name].as_f64().unwrap();
+    for pair in rows.chunks_exact(2) {
+        let [here, there] = [0, 1].map(|row| rate(&pair[row], "steps_per_second"));
+        assert_eq!(rate(&pair[0], "ratio_to_in_process"), 1.0);
+        let ratio = rate(&pair[1], "ratio_to_in_process");
+        assert!((ratio * here / there - 1.0).abs() < 1e-9, "{pair:?}");
+    }
     // Alone, there is nothing to compare with.
     let alone = "bench --quick --json --task EcmReach-v0 --envs 2 --policy random --mode client_rs";
     let rows = json_lines(&run(&alone.split(' ').collect::<Vec<_>>()));

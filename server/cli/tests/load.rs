@@ -129,7 +129,10 @@ impl Load {
             matches!(own_server(pid).server_state(), ServerState::Running { .. })
                 && children(pid).len() == 4
         });
-        std::thread::sleep(Duration::from_secs(2));
+        let first = children(pid);
+        eventually("one was killed and another started", || {
+            children(pid).iter().any(|child| !first.contains(child))
+        });
         load
     }
 }
@@ -155,11 +158,13 @@ fn killed_clients_are_reclaimed_and_stopped_ones_go_on() {
     let report = sound(if soak() {
         "load --json --seconds 600 --clients 16 --kill-every 2 --stop-every 5"
     } else {
-        "load --json --seconds 60 --clients 16 --kill-every 2 --stop-every 5"
+        "load --json --seconds 15 --clients 16 --kill-every 0.5 --stop-every 1.5"
     });
-    assert!(report["killed"].as_u64().unwrap() > 10, "{report}");
+    // Half of what was asked for: a busy machine is late.
+    let (killed, stopped) = if soak() { (150, 60) } else { (15, 5) };
+    assert!(report["killed"].as_u64().unwrap() >= killed, "{report}");
     assert_eq!(report["killed"], report["reclaimed"]);
-    assert!(report["stopped"].as_u64().unwrap() > 2, "{report}");
+    assert!(report["stopped"].as_u64().unwrap() >= stopped, "{report}");
 }
 
 #[test]
@@ -186,11 +191,15 @@ fn clients_find_a_restarted_server() {
 
 #[test]
 fn python_clients_are_compared_as_well() {
-    let python = std::env::var("TROCAR_PYTHON").unwrap_or_else(|_| "python3".into());
-    let found = Command::new(&python).args(["-c", "import trocar"]).output();
-    if !found.is_ok_and(|output| output.status.success()) {
-        eprintln!("skipped: {python} has no package trocar; TROCAR_PYTHON may name one that has");
-        return;
+    // `make test-python` names one that has the package; by chance, another may have it, too.
+    if std::env::var_os("TROCAR_PYTHON").is_none() {
+        let found = Command::new("python3").args(["-c", "import trocar"]).output();
+        if !found.is_ok_and(|output| output.status.success()) {
+            eprintln!(
+                "skipped: python3 has no package trocar; TROCAR_PYTHON may name one that has"
+            );
+            return;
+        }
     }
     let report = sound("load --json --seconds 4 --clients 3 --envs 2 --kill-every 1 --python");
     assert_eq!(report["killed"], report["reclaimed"]);

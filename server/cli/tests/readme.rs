@@ -35,7 +35,7 @@ fn the_task_table_is_that_of_the_registry() {
         let row = README.lines().find(|line| line.starts_with(&format!("| `{id}`"))).unwrap();
         let cells: Vec<_> = row.split('|').map(str::trim).collect();
         assert_eq!(cells[2], spec.summary);
-        assert!(cells[3].starts_with(&spec.action_dim().to_string()), "{row}");
+        assert!(cells[3].starts_with(&format!("{}:", spec.action_dim())), "{row}");
         assert_eq!(cells[4], format!("{} / {}", spec.observation_dim(), spec.goal_dim()));
         assert_eq!(cells[5], format!("{} × {}", spec.max_steps, spec.seconds_per_step));
         for option in &spec.options {

@@ -1,13 +1,16 @@
 //! Pictures as observations: which are asked for, and how they are drawn.
 
+use std::sync::Arc;
+
 use nalgebra::Vector3;
 use trocar_proto::spec::{ImageKind, ImageSpec};
 use trocar_proto::{Code, OptionValue, Options, Rejection};
 
 use super::Env;
 use crate::render::camera::extrinsics;
-use crate::render::{Camera, Canvas, Lens, Renderer, Scene, Software, Viewpoint};
+use crate::render::{Camera, Canvas, Lens, Renderer, Scene, Software, View, Viewpoint};
 use crate::tasks::options;
+use crate::tasks::proprioception::Proprioception;
 
 /// Least distance of a placed camera from what it looks at, m.
 const LEAST_DISTANCE: f64 = 1e-3;
@@ -68,12 +71,26 @@ impl Pictures {
     }
 }
 
+/// One environment's pictures to be drawn, one view after the other; empty what is not asked for.
+pub(crate) struct Shot<'a> {
+    /// What there is to see.
+    pub(crate) scene: Scene,
+    /// Colours.
+    pub(crate) rgb: &'a mut [u8],
+    /// Depth, m.
+    pub(crate) depth: &'a mut [f32],
+    /// Numbers of bodies.
+    pub(crate) mask: &'a mut [i32],
+    /// Points in the axes of the camera, m.
+    pub(crate) points: &'a mut [f32],
+}
+
 /// How the pictures of an environment are drawn.
-#[derive(Debug, Clone)]
+#[derive(Clone)]
 pub(crate) struct Imaging {
     spec: ImageSpec,
     eyes: Vec<Eye>,
-    renderer: Software,
+    renderer: Arc<dyn Renderer>,
 }
 
 impl Imaging {
@@ -116,14 +133,14 @@ impl Imaging {
             camera_from_world: fixed.map(|each| extrinsics(&each.world_from_camera)).collect(),
             far: camera.far as f32,
             bodies: scene.bodies().iter().map(ToString::to_string).collect(),
-            with_state: is_wanted("state") || options::perceives(options),
+            with_state: options::observes_state(options) || Proprioception::of(options).is_wanted(),
         };
-        Ok(Some(Self { spec, eyes, renderer: Software::default() }))
+        Ok(Some(Self { spec, eyes, renderer: Arc::new(Software::default()) }))
     }
 
     /// The same without jagged edges, for people: that takes four times as long.
     pub(crate) fn fine(self) -> Self {
-        Self { renderer: Software::fine(), ..self }
+        Self { renderer: Arc::new(Software::fine()), ..self }
     }
 
     /// What the pictures are like.
@@ -131,38 +148,35 @@ impl Imaging {
         &self.spec
     }
 
-    /// Draws the pictures, one view after the other.
-    pub(crate) fn draw(
-        &self,
-        scene: &Scene,
-        rgb: &mut [u8],
-        depth: &mut [f32],
-        mask: &mut [i32],
-        points: &mut [f32],
-    ) {
+    /// Draws the pictures of environments, all of them at once.
+    pub(crate) fn draw(&self, shots: &mut [Shot<'_>]) {
         let pixels = self.spec.height * self.spec.width;
         let has = |kind| self.spec.kinds.contains(&kind);
         // Points are made from the depth, which nobody else may want.
-        let mut own_depth = vec![];
-        if has(ImageKind::Points) && !has(ImageKind::Depth) {
-            own_depth.resize(pixels, 0.0);
+        let needs_depth = has(ImageKind::Points) && !has(ImageKind::Depth);
+        let pictures = shots.len() * self.eyes.len();
+        let mut own_depth = vec![0.0; if needs_depth { pictures * pixels } else { 0 }];
+        let mut own_depth = own_depth.chunks_exact_mut(pixels);
+        let mut views = Vec::with_capacity(pictures);
+        let mut clouds = Vec::with_capacity(pictures);
+        for Shot { scene, rgb, depth, mask, points } in shots {
+            let mut rgb = rgb.chunks_exact_mut(3 * pixels);
+            let mut depth = depth.chunks_exact_mut(pixels);
+            let mut mask = mask.chunks_exact_mut(pixels);
+            let mut points = points.chunks_exact_mut(3 * pixels);
+            for eye in &self.eyes {
+                let Some(viewpoint) = eye.viewpoint(scene) else { break };
+                let camera = viewpoint.camera(self.spec.width, self.spec.height);
+                let depth = depth.next().or_else(|| own_depth.next());
+                let canvas = Canvas { rgb: rgb.next(), depth, mask: mask.next() };
+                views.push(View { scene, camera, canvas });
+                clouds.push(points.next());
+            }
         }
-        let mut rgb = rgb.chunks_exact_mut(3 * pixels);
-        let mut depth = depth.chunks_exact_mut(pixels);
-        let mut mask = mask.chunks_exact_mut(pixels);
-        let mut points = points.chunks_exact_mut(3 * pixels);
-        for eye in &self.eyes {
-            let Some(viewpoint) = eye.viewpoint(scene) else { return };
-            let camera = viewpoint.camera(self.spec.width, self.spec.height);
-            let mut depth = match depth.next() {
-                Some(depth) => Some(depth),
-                None if own_depth.is_empty() => None,
-                None => Some(own_depth.as_mut_slice()),
-            };
-            let canvas = Canvas { rgb: rgb.next(), depth: depth.as_deref_mut(), mask: mask.next() };
-            self.renderer.render(scene, &camera, canvas);
-            if let (Some(points), Some(depth)) = (points.next(), depth) {
-                back_project(&camera, depth, points);
+        self.renderer.render_all(&mut views);
+        for (view, points) in views.iter().zip(clouds) {
+            if let (Some(points), Some(depth)) = (points, &view.canvas.depth) {
+                back_project(&view.camera, depth, points);
             }
         }
     }

@@ -107,7 +107,7 @@ impl Env {
     fn give_command(&mut self, count: usize) {
         let Self { task, world, time, command, .. } = self;
         let task = task.as_mut();
-        if self.latency % self.substeps > 0 {
+        if !self.latency.is_multiple_of(self.substeps) {
             time.sense(task); // increments count from where the arms are now
         }
         command.clear();

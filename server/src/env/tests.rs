@@ -8,7 +8,7 @@ use crate::sim::world::Solver;
 use crate::tasks::expert::ExpertInput;
 use crate::tasks::{Registry, Task};
 
-/// A task whose observation stops being a number when the action is 1.
+/// A task whose observation leaves its range when the action is 0.75, and is no number when it is 1.
 #[derive(Clone)]
 struct Fragile(f32);
 
@@ -43,7 +43,11 @@ impl Task for Fragile {
     }
 
     fn command(&mut self, _: &mut World, action: Option<&[f32]>) {
-        self.0 = if action == Some(&[1.0]) { f32::NAN } else { 0.5 };
+        self.0 = match action {
+            Some(&[1.0]) => f32::NAN,
+            Some(&[0.75]) => 1.5,
+            _ => 0.5,
+        };
     }
 
     fn observe(&self, _: &World, observation: &mut [f32], _: &mut [f32], _: &mut [f32]) {
@@ -109,6 +113,28 @@ fn bad_actions_are_refused_by_name_and_the_experts_are_clipped() {
     let mut action = [0.0];
     env.expert(&mut action);
     assert_eq!(action, [1.0]);
+    let excess = Excess { count: 1, farthest: 7.0 };
+    assert_eq!(env.clamped().into_iter().collect::<Vec<_>>(), [("expert: break".into(), excess)]);
+}
+
+#[test]
+fn what_leaves_its_range_is_clamped_and_counted() {
+    let mut env = fragile();
+    env.reset(None);
+    env.step(&[0.0]).unwrap();
+    assert!(env.clamped().is_empty());
+    let mut seen = [0.0];
+    for _ in 0..2 {
+        env.step(&[0.75]).unwrap();
+        env.observe(&mut seen, &mut [], &mut []);
+        assert_eq!(seen, [1.0]);
+    }
+    let excess = Excess { count: 2, farthest: 1.5 };
+    let clamped = env.clone().clamped();
+    assert_eq!(clamped.into_iter().collect::<Vec<_>>(), [("observation: state".into(), excess)]);
+    env.reset(None);
+    env.step(&[1.0]).unwrap_err();
+    assert_eq!(env.clamped()["observation: state"], excess, "no number is no excess");
 }
 
 #[test]

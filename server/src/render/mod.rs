@@ -28,6 +28,17 @@ pub use picture::{Canvas, Picture};
 pub use scene::{Jaws, Lens, Scene};
 pub use software::Software;
 
+/// What is to be drawn where.
+#[derive(Debug)]
+pub struct View<'a> {
+    /// What there is to see.
+    pub scene: &'a Scene,
+    /// From where.
+    pub camera: Camera,
+    /// Where it is drawn.
+    pub canvas: Canvas<'a>,
+}
+
 /// What draws pictures.
 pub trait Renderer: Send + Sync {
     /// Draws what the camera sees of the scene.
@@ -35,6 +46,16 @@ pub trait Renderer: Send + Sync {
     /// # Panics
     /// Where the canvas does not have the camera's size.
     fn render(&self, scene: &Scene, camera: &Camera, canvas: Canvas<'_>);
+
+    /// Draws several views. A renderer that draws faster when it is given many at once does so here.
+    ///
+    /// # Panics
+    /// Where a canvas does not have its camera's size.
+    fn render_all(&self, views: &mut [View<'_>]) {
+        for View { scene, camera, canvas } in views {
+            self.render(scene, camera, canvas.again());
+        }
+    }
 
     /// A whole picture of it.
     fn picture(&self, scene: &Scene, camera: &Camera) -> Picture {

@@ -56,6 +56,15 @@ pub struct Canvas<'a> {
 }
 
 impl Canvas<'_> {
+    /// The same canvas, for a while.
+    pub fn again(&mut self) -> Canvas<'_> {
+        Canvas {
+            rgb: self.rgb.as_deref_mut(),
+            depth: self.depth.as_deref_mut(),
+            mask: self.mask.as_deref_mut(),
+        }
+    }
+
     /// Checks that everything has so many pixels.
     ///
     /// # Panics

@@ -7,11 +7,12 @@ use trocar_proto::control::{Autoreset, SessionRequest};
 use trocar_proto::{Code, Rejection, TaskSpec};
 
 use super::pile::Divisible;
-use super::rows::Rows;
+use super::rows::{Pictures, Rows};
 use super::scheduler::Turn;
 use super::witness::Witness;
-use crate::env::{Env, Imaging, Rebuild};
+use crate::env::{Env, Imaging, Rebuild, Shot};
 use crate::error::StepError;
+use crate::render::Scene;
 use crate::tasks::Registry;
 
 /// N environments of one task.
@@ -160,7 +161,7 @@ impl Batch {
         env_ids: &[u32],
         want_expert: bool,
         witness: Witness<'_>,
-        rows: Rows<'_>,
+        mut rows: Rows<'_>,
         turn: &mut Turn<'_>,
     ) -> Result<(), Rejection> {
         self.check_env_ids(env_ids)?;
@@ -172,7 +173,14 @@ impl Batch {
         self.rows = env_ids.len();
         // States may have to be rebuilt before they are restored.
         self.untimed = !matches!(deed, Deed::Restore(_));
+        // Pictures are drawn once all environments were stepped: a renderer may draw many at once.
+        let [pictures, final_pictures] =
+            [&mut rows.pictures, &mut rows.final_pictures].map(std::mem::take);
+        let has_pictures = self.envs[0].imaging().is_some();
+        let mut finals: Vec<Option<Scene>> =
+            vec![None; if has_pictures { env_ids.len() } else { 0 }];
         let work = Work {
+            finals: &mut finals,
             first: 0,
             envs: &mut self.envs,
             took: &mut self.took,
@@ -186,6 +194,11 @@ impl Batch {
             rows,
         };
         turn.run(work, cost);
+        if let Some(imaging) = self.envs[0].imaging() {
+            let (envs, finals) = (&self.envs, finals.as_mut_slice());
+            let drawing = DrawingAll { envs, env_ids, imaging, finals, pictures, final_pictures };
+            turn.run(drawing, cost);
+        }
         Ok(())
     }
 
@@ -245,6 +258,8 @@ struct Work<'a> {
     want_expert: bool,
     witness: Witness<'a>,
     rows: Rows<'a>,
+    /// What there is to see at the ends of episodes that the same step replaced, where there are pictures.
+    finals: &'a mut [Option<Scene>],
 }
 
 impl Divisible for Work<'_> {
@@ -274,7 +289,10 @@ impl Divisible for Work<'_> {
             }
         };
         let (rows, later_rows) = self.rows.split_at(at);
-        let part = |first, envs, took, env_ids, deed, rows| Self {
+        let at = at.min(self.finals.len());
+        let (finals, later_finals) = self.finals.split_at_mut(at);
+        let part = |first, envs, took, env_ids, deed, rows, finals| Self {
+            finals,
             first,
             envs,
             took,
@@ -287,9 +305,10 @@ impl Divisible for Work<'_> {
             witness: self.witness,
             rows,
         };
-        let now = part(self.first, envs, took, ids, deed, rows);
+        let now = part(self.first, envs, took, ids, deed, rows, finals);
         let border = self.first + border as u32;
-        let later = part(border, later_envs, later_took, later_ids, later_deed, later_rows);
+        let later =
+            part(border, later_envs, later_took, later_ids, later_deed, later_rows, later_finals);
         (now, later)
     }
 
@@ -312,7 +331,9 @@ impl Divisible for Work<'_> {
                 }
                 Deed::Step(actions) => {
                     let action = &actions[row * self.action_dim..(row + 1) * self.action_dim];
-                    step(env, action, self.autoreset, (*id, self.witness), &mut self.rows, row);
+                    let last = self.finals.get_mut(row);
+                    let witness = (*id, self.witness);
+                    step(env, action, self.autoreset, witness, &mut self.rows, row, last);
                 }
                 Deed::Restore(states) => {
                     self.witness.before_leaving(*id, env);
@@ -322,8 +343,6 @@ impl Divisible for Work<'_> {
                 }
             }
             write_state(env, self.want_expert, &mut self.rows, row);
-            let Rows { rgb, depth, mask, points, .. } = &mut self.rows;
-            env.show(rgb.row(row), depth.row(row), mask.row(row), points.row(row));
             if let Some(start) = start {
                 self.took[(id - self.first) as usize] = start.elapsed();
             }
@@ -366,8 +385,54 @@ impl Divisible for Drawing<'_> {
 
     fn run(self) {
         if let Some(env) = self.env {
-            self.view.draw(&env.scene(), self.rgb, self.depth, &mut [], &mut []);
+            let (rgb, depth) = (self.rgb, self.depth);
+            let scene = env.scene();
+            let shot = Shot { scene, rgb, depth, mask: &mut [], points: &mut [] };
+            self.view.draw(&mut [shot]);
         }
+    }
+}
+
+/// The pictures of environments that a message was about.
+struct DrawingAll<'a> {
+    /// All of the session's.
+    envs: &'a [Env],
+    env_ids: &'a [u32],
+    imaging: &'a Imaging,
+    /// What there was to see at the ends of episodes that the same step replaced.
+    finals: &'a mut [Option<Scene>],
+    pictures: Pictures<'a>,
+    final_pictures: Pictures<'a>,
+}
+
+impl Divisible for DrawingAll<'_> {
+    fn len(&self) -> usize {
+        self.env_ids.len()
+    }
+
+    fn split_at(self, at: usize) -> (Self, Self) {
+        let Self { envs, env_ids, imaging, finals, pictures, final_pictures } = self;
+        let (ids, later_ids) = env_ids.split_at(at);
+        let (finals, later_finals) = finals.split_at_mut(at);
+        let (pictures, later_pictures) = pictures.split_at(at);
+        let (final_pictures, later_final_pictures) = final_pictures.split_at(at);
+        let part = |env_ids, finals, pictures, final_pictures| Self {
+            envs,
+            env_ids,
+            imaging,
+            finals,
+            pictures,
+            final_pictures,
+        };
+        let now = part(ids, finals, pictures, final_pictures);
+        (now, part(later_ids, later_finals, later_pictures, later_final_pictures))
+    }
+
+    fn run(self) {
+        let present = self.env_ids.iter().map(|id| Some(self.envs[*id as usize].scene()));
+        let last = self.finals.iter_mut().map(Option::take);
+        let shots = self.pictures.shots(present).chain(self.final_pictures.shots(last));
+        self.imaging.draw(&mut shots.collect::<Vec<_>>());
     }
 }
 
@@ -441,6 +506,7 @@ fn step(
     (id, witness): (u32, Witness<'_>),
     rows: &mut Rows<'_>,
     row: usize,
+    last: Option<&mut Option<Scene>>,
 ) {
     if env.needs_reset() {
         env.reset(None);
@@ -476,9 +542,9 @@ fn step(
             rows.final_achieved_goal.row(row),
             rows.final_desired_goal.row(row),
         );
-        let Rows { final_rgb, final_depth, final_mask, final_points, .. } = rows;
-        let (rgb, depth) = (final_rgb.row(row), final_depth.row(row));
-        env.show(rgb, depth, final_mask.row(row), final_points.row(row));
+        if let Some(last) = last {
+            *last = Some(env.scene());
+        }
         env.reset(None);
         show(env, rows, row);
     }

@@ -14,7 +14,6 @@ use trocar_proto::wire::{
 use trocar_proto::{Code, PROTOCOL_VERSION, Rejection, TaskSpec};
 
 use super::{ServeError, ServerConfig};
-use crate::env::Env;
 use crate::tasks::Registry;
 
 /// What is to be done about a control message.
@@ -300,7 +299,7 @@ impl Desk {
         usage: &Usage,
     ) -> Result<Footprint, Rejection> {
         let (used, sessions) = (usage.memory, usage.sessions);
-        let spec = self.registry.spec(&request.task, &request.options)?;
+        let (spec, each) = self.registry.describe(&request.task, &request.options)?;
         if !(1..=self.info.max_envs).contains(&request.envs) {
             return Err(Rejection::new(
                 Code::InvalidEnvCount,
@@ -322,7 +321,7 @@ impl Desk {
         let view = view.transpose()?.map(|imaging| PictureLayout::new(imaging.spec()));
         let footprint = Footprint {
             shared: shared_bytes(request.envs as usize, &spec, view.as_ref()),
-            private: u64::from(request.envs) * Env::MEMORY_BYTES,
+            private: u64::from(request.envs) * each,
         };
         let held = usage.clients.get(&pid).copied().unwrap_or_default();
         self.quota.check(pid, held, request.envs, footprint.total())?;

@@ -2,6 +2,9 @@
 
 use trocar_proto::wire::ReplyLayout;
 
+use crate::env::Shot;
+use crate::render::Scene;
+
 /// The first rows of every array of a reply, to be written. Widths in elements; see
 /// [`ReplyLayout`] for what they mean.
 #[derive(Debug)]
@@ -23,14 +26,42 @@ pub(crate) struct Rows<'a> {
     pub(crate) expert_action: Columns<'a, f32>,
     pub(crate) expert_stage: Columns<'a, u8>,
     pub(crate) snapshot: Columns<'a, u64>,
-    pub(crate) rgb: Columns<'a, u8>,
-    pub(crate) depth: Columns<'a, f32>,
-    pub(crate) mask: Columns<'a, i32>,
-    pub(crate) points: Columns<'a, f32>,
-    pub(crate) final_rgb: Columns<'a, u8>,
-    pub(crate) final_depth: Columns<'a, f32>,
-    pub(crate) final_mask: Columns<'a, i32>,
-    pub(crate) final_points: Columns<'a, f32>,
+    pub(crate) pictures: Pictures<'a>,
+    pub(crate) final_pictures: Pictures<'a>,
+}
+
+/// The pictures of some rows.
+#[derive(Debug, Default)]
+pub(crate) struct Pictures<'a> {
+    rgb: Columns<'a, u8>,
+    depth: Columns<'a, f32>,
+    mask: Columns<'a, i32>,
+    points: Columns<'a, f32>,
+}
+
+impl<'a> Pictures<'a> {
+    /// What there is to see in each row, where its pictures go.
+    pub(crate) fn shots<S>(self, scenes: S) -> impl Iterator<Item = Shot<'a>>
+    where
+        S: IntoIterator<Item = Option<Scene>>,
+    {
+        let (rgb, depth) = (self.rgb.into_rows(), self.depth.into_rows());
+        let (mask, points) = (self.mask.into_rows(), self.points.into_rows());
+        let rows = rgb.zip(depth).zip(mask.zip(points));
+        scenes.into_iter().zip(rows).filter_map(|(scene, ((rgb, depth), (mask, points)))| {
+            Some(Shot { scene: scene?, rgb, depth, mask, points })
+        })
+    }
+
+    pub(crate) fn split_at(self, at: usize) -> (Self, Self) {
+        let (rgb, later_rgb) = self.rgb.split_at(at);
+        let (depth, later_depth) = self.depth.split_at(at);
+        let (mask, later_mask) = self.mask.split_at(at);
+        let (points, later_points) = self.points.split_at(at);
+        let later =
+            Self { rgb: later_rgb, depth: later_depth, mask: later_mask, points: later_points };
+        (Self { rgb, depth, mask, points }, later)
+    }
 }
 
 /// Some rows of one array.
@@ -38,6 +69,21 @@ pub(crate) struct Rows<'a> {
 pub(crate) struct Columns<'a, T> {
     cells: &'a mut [T],
     width: usize,
+}
+
+impl<T> Default for Columns<'_, T> {
+    fn default() -> Self {
+        Self { cells: &mut [], width: 0 }
+    }
+}
+
+impl<'a, T> Columns<'a, T> {
+    /// All rows, and empty ones without end where a row is empty.
+    fn into_rows(self) -> impl Iterator<Item = &'a mut [T]> {
+        let is_empty = self.width == 0;
+        let rows = self.cells.chunks_exact_mut(self.width.max(1));
+        rows.chain(std::iter::repeat_with(Default::default).take_while(move |_| is_empty))
+    }
 }
 
 impl<T> Columns<'_, T> {
@@ -91,14 +137,18 @@ impl<'a> Rows<'a> {
             expert_action: columns!(expert_action),
             expert_stage: columns!(expert_stage),
             snapshot: columns!(snapshot),
-            rgb: columns!(rgb),
-            depth: columns!(depth),
-            mask: columns!(mask),
-            points: columns!(points),
-            final_rgb: columns!(final_rgb),
-            final_depth: columns!(final_depth),
-            final_mask: columns!(final_mask),
-            final_points: columns!(final_points),
+            pictures: Pictures {
+                rgb: columns!(rgb),
+                depth: columns!(depth),
+                mask: columns!(mask),
+                points: columns!(points),
+            },
+            final_pictures: Pictures {
+                rgb: columns!(final_rgb),
+                depth: columns!(final_depth),
+                mask: columns!(final_mask),
+                points: columns!(final_points),
+            },
         };
         debug_assert!(done + rest.len() == layout.bytes);
         rows
@@ -130,14 +180,8 @@ impl<'a> Rows<'a> {
             expert_action,
             expert_stage,
             snapshot,
-            rgb,
-            depth,
-            mask,
-            points,
-            final_rgb,
-            final_depth,
-            final_mask,
-            final_points
+            pictures,
+            final_pictures
         )
     }
 }

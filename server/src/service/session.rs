@@ -207,7 +207,7 @@ impl Session {
             seconds_per_step: spec.seconds_per_step,
             has_goal: spec.goal.is_some(),
         });
-        let store = Store::new(account.ledger, batch.like().identity());
+        let store = Store::new(account.ledger, batch.like());
         *shared.store.lock().unwrap_or_else(PoisonError::into_inner) = Some(store);
         // Starts may have taken long, and nothing may be put where the server has cleared away.
         if shared.stop.load(Ordering::Acquire) {

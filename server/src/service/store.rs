@@ -47,12 +47,12 @@ impl Ledger {
         self.snapshots.load(Ordering::Relaxed)
     }
 
-    /// Counts `count` more snapshots, unless the budget forbids it.
-    fn take(&self, count: usize) -> Result<(), Rejection> {
+    /// Counts `count` more snapshots of `each` bytes, unless the budget forbids it.
+    fn take(&self, count: usize, each: u64) -> Result<(), Rejection> {
         if let Some(whole) = &self.whole {
-            whole.take(count)?;
+            whole.take(count, each)?;
         }
-        let needed = count as u64 * Env::MEMORY_BYTES;
+        let needed = count as u64 * each;
         let sessions = self.sessions.load(Ordering::Relaxed);
         let fits = |snapshots: u64| {
             Some(snapshots + needed).filter(|snapshots| sessions + snapshots <= self.budget)
@@ -60,7 +60,7 @@ impl Ledger {
         let taken = self.snapshots.fetch_update(Ordering::Relaxed, Ordering::Relaxed, fits);
         taken.map(|_| ()).map_err(|snapshots| {
             if let Some(whole) = &self.whole {
-                whole.give_back(count);
+                whole.give_back(needed);
             }
             let mebibytes = |bytes: u64| format!("{:.1} MiB", bytes as f64 / f64::from(1 << 20));
             Rejection::new(
@@ -78,11 +78,11 @@ impl Ledger {
         })
     }
 
-    fn give_back(&self, count: usize) {
+    fn give_back(&self, bytes: u64) {
         if let Some(whole) = &self.whole {
-            whole.give_back(count);
+            whole.give_back(bytes);
         }
-        self.snapshots.fetch_sub(count as u64 * Env::MEMORY_BYTES, Ordering::Relaxed);
+        self.snapshots.fetch_sub(bytes, Ordering::Relaxed);
     }
 
     /// A number that no other snapshot of the server has.
@@ -108,18 +108,22 @@ pub(super) struct Store {
     ledger: Arc<Ledger>,
     /// The session's task and options.
     identity: Identity,
+    /// What a snapshot is counted with, bytes.
+    each: u64,
     saved: BTreeMap<u64, Saved>,
 }
 
 impl Store {
-    pub(super) fn new(ledger: Arc<Ledger>, identity: Identity) -> Self {
-        Self { ledger, identity, saved: BTreeMap::new() }
+    /// No snapshots of environments like this one.
+    pub(super) fn new(ledger: Arc<Ledger>, like: &Env) -> Self {
+        let each = like.memory_bytes();
+        Self { ledger, identity: like.identity(), each, saved: BTreeMap::new() }
     }
 
     /// Makes room for `count` snapshots, which [`Self::put`] then fills.
     pub(super) fn make_room(&self, count: usize) -> Result<Room, Rejection> {
-        self.ledger.take(count)?;
-        Ok(Room { ledger: Arc::clone(&self.ledger), left: count })
+        self.ledger.take(count, self.each)?;
+        Ok(Room { ledger: Arc::clone(&self.ledger), each: self.each, left: count })
     }
 
     /// Keeps a snapshot, and gives the number under which.
@@ -152,7 +156,7 @@ impl Store {
     /// Drops a snapshot, if it is there.
     pub(super) fn forget(&mut self, number: u64) {
         if self.saved.remove(&number).is_some() {
-            self.ledger.give_back(1);
+            self.ledger.give_back(self.each);
         }
     }
 
@@ -176,19 +180,20 @@ impl Store {
 
 impl Drop for Store {
     fn drop(&mut self) {
-        self.ledger.give_back(self.saved.len());
+        self.ledger.give_back(self.saved.len() as u64 * self.each);
     }
 }
 
 /// Room for snapshots; what is not filled is given back.
 pub(super) struct Room {
     ledger: Arc<Ledger>,
+    each: u64,
     left: usize,
 }
 
 impl Drop for Room {
     fn drop(&mut self) {
-        self.ledger.give_back(self.left);
+        self.ledger.give_back(self.left as u64 * self.each);
     }
 }
 
@@ -202,7 +207,7 @@ mod tests {
     fn store(ledger: &Arc<Ledger>) -> (Store, Arc<Env>) {
         let mut env = Registry::builtin().make("EcmReach-v0", &Options::new()).unwrap();
         env.reset(Some(1));
-        (Store::new(Arc::clone(ledger), env.identity()), Arc::new(env))
+        (Store::new(Arc::clone(ledger), &env), Arc::new(env))
     }
 
     #[test]

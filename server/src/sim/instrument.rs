@@ -60,6 +60,9 @@ const FINGER_MASS: f64 = 0.02;
 /// Where a finger's turning ends, rad: 0 is the middle.
 const FINGER_LIMITS: [f64; 2] = [-0.5, 0.8];
 
+/// How far jaws may be forced open, rad.
+pub const FORCED_OPEN: f64 = 2.0 * FINGER_LIMITS[1];
+
 /// Torque with which each finger stays in the middle of the wrist, over that of its squeeze. Beyond, what
 /// pushes the fingers to one side turns both, as it turns the yaw joint of a real wrist, whose torque is
 /// as limited.
@@ -87,6 +90,7 @@ impl Posture {
     }
 
     /// The way of the wrist from this posture (0) to another (1), and that of the jaw angle.
+    #[must_use]
     pub fn towards(&self, end: &Self, wrist: f64, jaw: f64) -> Self {
         let world_from_wrist =
             frames::interpolate(&self.world_from_wrist, &end.world_from_wrist, wrist);

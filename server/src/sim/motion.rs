@@ -7,6 +7,8 @@
 //! instruments alone, and the world needs no substep. Where objects do move, an instrument that none can meet
 //! in a substep takes no part in it.
 
+use std::collections::VecDeque;
+
 use arrayvec::ArrayVec;
 use nalgebra::Vector3;
 
@@ -65,6 +67,14 @@ impl Way {
         Self { profile, done: 0, push: Push::NONE, aside: Vector3::zeros() }
     }
 
+    /// The set-points of a streamed motion.
+    fn points(&mut self) -> &mut VecDeque<Posture> {
+        match &mut self.profile {
+            Profile::Streamed(points) => points,
+            _ => panic!("only streamed motions take set-points"),
+        }
+    }
+
     /// The posture in substep `now` of `substeps` where the wrist has covered `done` of them.
     fn along(&self, done: u32, now: u32, substeps: u32) -> Posture {
         let mut posture = self.profile.at(done, now, substeps);
@@ -88,35 +98,30 @@ impl Motion {
         Self { ways: profiles.into_iter().map(Way::new).collect(), now: 0, substeps }
     }
 
-    /// A motion of instruments through set-points that come one by one, see [`Self::push`].
-    pub fn streamed(instruments: &[&mut Instrument]) -> Self {
-        let start = |each: &&mut Instrument| Profile::Streamed([*each.posture()].into());
-        Self::new(instruments.iter().map(start).collect(), 0)
+    /// A motion of instruments from `starts` through set-points that come one by one, see [`Self::push`].
+    pub fn streamed(starts: impl IntoIterator<Item = Posture>) -> Self {
+        let profile = |start: Posture| Profile::Streamed([start].into());
+        Self::new(starts.into_iter().map(profile).collect(), 0)
     }
 
     /// Adds a substep in which each instrument is to go to its set-point. One that was held up is as many
-    /// substeps behind.
+    /// substeps behind, until nothing is in its way any more and the world rests.
     ///
     /// # Panics
     /// Where the motion is not a streamed one, or has another number of instruments.
     pub fn push(&mut self, set_points: &[Posture]) {
         assert_eq!(set_points.len(), self.ways.len(), "one set-point for each instrument");
         self.substeps += 1;
-        let mut points = self.ways.iter_mut().zip(set_points);
-        let can_forget = points.all(|(way, set_point)| {
-            let Profile::Streamed(points) = &mut way.profile else {
-                panic!("only streamed motions take set-points");
-            };
-            points.push_back(*set_point);
-            points.len() > KEPT && way.done > 0
-        });
-        if can_forget && !self.ways.is_empty() {
+        let mut can_forget = self.now as usize >= KEPT;
+        for (way, set_point) in self.ways.iter_mut().zip(set_points) {
+            way.points().push_back(*set_point);
+            can_forget &= way.done > 0;
+        }
+        if can_forget {
             (self.now, self.substeps) = (self.now - 1, self.substeps - 1);
             for way in &mut self.ways {
                 way.done -= 1;
-                if let Profile::Streamed(points) = &mut way.profile {
-                    points.pop_front();
-                }
+                way.points().pop_front();
             }
         }
     }
@@ -164,9 +169,7 @@ impl Motion {
 
     /// Brings the instruments to the end where nothing is in their way; whether it did. The world must be at rest.
     fn finish(&mut self, instruments: &mut [&mut Instrument], world: &World) -> bool {
-        let end = |way: &Way| way.profile.end();
-        let ends: Option<Places> = self.ways.iter().map(end).collect();
-        let Some(ends) = ends else { return false };
+        let ends: Places = self.ways.iter().map(|way| way.profile.end()).collect();
         if !are_free(&ends, instruments, world) {
             return false;
         }

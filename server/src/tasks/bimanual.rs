@@ -6,12 +6,16 @@ use trocar_proto::Stage;
 use trocar_proto::spec::Element;
 
 use super::expert::{ArmView, ExpertInput};
-use super::objects::THEATRE;
+use super::objects::{self, THEATRE};
 use super::options::{self, Preset};
 use super::psm_scene::PsmArm;
 use crate::sim::frames::{self, Aabb, Pose};
 use crate::sim::instrument::{JAW_CLOSED, JAW_OPEN, TIP_OFFSET};
 use crate::sim::world::{BodyId, World};
+
+/// How far outside of the two workspaces together an arm may be dragged by the other, m: arms yield to an object
+/// that both hold.
+const DRAGGED: f64 = 0.01;
 
 /// The elements of [`observe`]: of both arms, of the object `object`, and of the places `places` at which
 /// PSM1 and PSM2 grasp it.
@@ -21,16 +25,16 @@ pub fn observation_elements(
     places: [&str; 2],
     preset: Preset,
 ) -> Vec<Element> {
-    let mut elements = named(arms.map(PsmArm::observation_elements));
-    elements.extend(options::position_elements(object, "scene", &THEATRE, preset));
-    for (index, arm) in arms.iter().enumerate() {
-        let reach = arm.reach();
-        let relative = Aabb { min: THEATRE.min - reach.max, max: THEATRE.max - reach.min };
-        let name = format!("{object} from PSM{} wrist", index + 1);
-        elements.extend(options::position_elements(&name, "scene", &relative.grown(1e-3), preset));
+    let bounds = arms[0].reach().merged(arms[1].reach()).grown(DRAGGED);
+    let mut elements = named(arms.map(|arm| arm.observation_elements_within(&bounds)));
+    elements.extend(objects::position_elements(object, &THEATRE, preset));
+    let relative = Aabb { min: THEATRE.min - bounds.max, max: THEATRE.max - bounds.min };
+    for arm in ["PSM1", "PSM2"] {
+        let name = format!("{object} from {arm} wrist");
+        elements.extend(objects::position_elements(&name, &relative, preset));
     }
     for place in places {
-        elements.extend(options::position_elements(place, "scene", &THEATRE, preset));
+        elements.extend(objects::position_elements(place, &THEATRE, preset));
         elements.extend(options::euler_elements(place, "scene"));
     }
     elements

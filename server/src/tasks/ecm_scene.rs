@@ -48,7 +48,7 @@ use super::options::{self, ActionMode, Domain, Preset};
 use super::rate::Rate;
 use super::theatre;
 use crate::render::{Scene, Viewpoint};
-use crate::robots::Ecm;
+use crate::robots::{Ecm, JointLimit};
 use crate::sim::frames::{self, Aabb, Pose};
 use crate::sim::random::Rng;
 
@@ -321,7 +321,7 @@ impl EcmArm {
     pub fn encode(&self, step: &Vector3<f64>, turn: f64, action: &mut [f32]) {
         let scale = self.rate.scale();
         let d = step / (STEP_LENGTH * scale);
-        let roll = turn / (STEP_ROLL * scale);
+        let roll = (turn / (STEP_ROLL * scale)).clamp(-1.0, 1.0);
         let numbers = match (self.mode, self.control) {
             (ActionMode::Paper, Control::Roll) => [roll, 0.0, 0.0, 0.0],
             (ActionMode::Paper | ActionMode::Cartesian, _) => [d.x, d.y, d.z, roll],
@@ -334,12 +334,13 @@ impl EcmArm {
             (ActionMode::Joint, _) => {
                 let joints = self.moved(step, self.joints[3] + turn).unwrap_or(self.joints);
                 std::array::from_fn(|joint| {
-                    (joints[joint] - self.joints[joint]) / (JOINT_STEPS[joint] * scale)
+                    let steps = joints[joint] - self.joints[joint];
+                    (steps / (JOINT_STEPS[joint] * scale)).clamp(-1.0, 1.0)
                 })
             }
         };
         for (number, value) in action.iter_mut().zip(numbers) {
-            *number = value.clamp(-1.0, 1.0) as f32;
+            *number = value as f32;
         }
     }
 
@@ -348,7 +349,7 @@ impl EcmArm {
     pub fn encode_velocity(&self, velocity: &Vector3<f64>, action: &mut [f32]) {
         if self.mode == ActionMode::Paper {
             for (number, value) in action.iter_mut().zip(velocity.iter()) {
-                *number = (value * self.velocity_sign()).clamp(-1.0, 1.0) as f32;
+                *number = (value * self.velocity_sign()) as f32;
             }
             return;
         }
@@ -387,6 +388,22 @@ impl EcmArm {
         for (slot, number) in observation.iter_mut().zip(numbers) {
             *slot = *number as f32;
         }
+    }
+
+    /// The elements of [`Self::measured_joints`].
+    pub fn joint_elements(&self) -> Vec<Element> {
+        let names = [("yaw", "rad"), ("pitch", "rad"), ("insertion", "m"), ("roll", "rad")];
+        let limits = self.kinematics.limits();
+        let element = |((name, unit), limit): ((&str, &str), &JointLimit)| {
+            let (min, max) = (limit.min as f32, limit.max as f32);
+            Element::new(&format!("{name} joint"), "joint", unit, min, max)
+        };
+        names.into_iter().zip(limits).map(element).collect()
+    }
+
+    /// What the joint sensors report: yaw, pitch (rad), insertion (m), roll (rad).
+    pub fn measured_joints(&self) -> [f32; 4] {
+        self.joints.map(|joint| joint as f32)
     }
 
     /// The sensed camera's extrinsic XYZ Euler angles in the world, rad.

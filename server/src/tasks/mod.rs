@@ -21,6 +21,7 @@ use trocar_proto::{Code, Options, Rejection, Stage, TaskSpec};
 
 use self::ecm_scene::EcmArm;
 use self::expert::ExpertInput;
+use self::proprioception::Proprioception;
 use self::psm_scene::PsmArm;
 use crate::env::{Env, Imaging};
 use crate::render::Scene;
@@ -50,6 +51,7 @@ pub mod peg_expert;
 pub mod peg_transfer;
 pub mod perception;
 pub mod pick;
+pub(crate) mod proprioception;
 pub mod psm_scene;
 pub mod rate;
 pub mod start;
@@ -211,17 +213,27 @@ impl Registry {
 
     /// The task `id` under `options`.
     pub fn spec(&self, id: &str, options: &Options) -> Result<TaskSpec, Rejection> {
-        let (task, world, resolved) = self.build(id, options)?;
+        self.describe(id, options).map(|(spec, _)| spec)
+    }
+
+    /// The same, and the memory that an environment of it is counted with, bytes.
+    pub(crate) fn describe(
+        &self,
+        id: &str,
+        options: &Options,
+    ) -> Result<(TaskSpec, u64), Rejection> {
+        let (mut task, world, resolved) = self.build(id, options)?;
         let imaging = Imaging::of(&resolved, || first_scene(task.as_ref(), &world))?;
-        Ok(spec_of(task.as_ref(), options, imaging.as_ref()))
+        let spec = spec_of(task.as_mut(), options, &resolved, imaging.as_ref());
+        Ok((spec, Env::memory_bytes_with(&world)))
     }
 
     /// An environment of the task `id` under `options`; it needs a reset.
     pub fn make(&self, id: &str, options: &Options) -> Result<Env, Rejection> {
-        let (task, world, resolved) = self.build(id, options)?;
+        let (mut task, world, resolved) = self.build(id, options)?;
         let domain = options::Domain::of(&resolved)?;
         let imaging = Imaging::of(&resolved, || first_scene(task.as_ref(), &world))?;
-        let spec = spec_of(task.as_ref(), options, imaging.as_ref());
+        let spec = spec_of(task.as_mut(), options, &resolved, imaging.as_ref());
         Ok(Env::new(spec, task, world, domain, resolved, imaging))
     }
 
@@ -249,7 +261,7 @@ impl Registry {
             let allowed = format!("unknown task; this server knows {ids:?}");
             return Err(Rejection::new(Code::UnknownTask, "task", format!("{id:?}"), allowed));
         };
-        let known = options::with_images((entry.options)());
+        let known = options::with_common((entry.options)());
         let allowed = options::under_preset(known, options);
         let options = options.resolve(&allowed)?;
         let (task, world) = (entry.make)(&options)?;
@@ -257,10 +269,23 @@ impl Registry {
     }
 }
 
-/// What a task looks like; the defaults of its options are those of the preset.
-fn spec_of(task: &dyn AnyTask, options: &Options, imaging: Option<&Imaging>) -> TaskSpec {
-    let spec = task.spec();
-    let known = options::with_images(spec.options);
+/// What a task looks like under `resolved`, to which `options` were completed; the defaults of its options are
+/// those of the preset.
+fn spec_of(
+    task: &mut dyn AnyTask,
+    options: &Options,
+    resolved: &Options,
+    imaging: Option<&Imaging>,
+) -> TaskSpec {
+    let mut spec = task.spec();
+    let own = Proprioception::of(resolved);
+    if own.is_wanted() {
+        if !options::observes_state(resolved) {
+            spec.observation.clear();
+        }
+        spec.observation.extend(own.elements(task));
+    }
+    let known = options::with_common(spec.options);
     TaskSpec {
         options: options::under_preset(known, options),
         images: imaging.map(|imaging| imaging.spec().clone()),

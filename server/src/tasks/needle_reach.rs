@@ -31,7 +31,7 @@
 //! | 3 | roll of the wrist link; −π/2 under `paper` | −π | π | rad |
 //! | 4 | pitch; 0 under `paper` | −π/2 | π/2 | rad |
 //! | 5 | yaw; π/2 under `paper` | −π | π | rad |
-//! | 6 | jaw angle; always 0 | −0.1 | 1 | rad |
+//! | 6 | jaw angle; always 0 | −0.1 | 1.6 | rad |
 //!
 //! The angles are extrinsic XYZ Euler angles, R = Rz(yaw)·Ry(pitch)·Rx(roll), of the wrist-yaw link,
 //! whose y axis points along the jaws and whose z axis is their hinge. Achieved goal: the true tip

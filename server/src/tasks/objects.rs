@@ -88,13 +88,19 @@ pub fn options(
     specs
 }
 
+/// The elements of a position that an object takes along where it is lost, within `bounds` (m).
+pub fn position_elements(name: &str, bounds: &Aabb, preset: Preset) -> Vec<Element> {
+    let elements = options::position_elements(name, "scene", bounds, preset);
+    elements.into_iter().map(Element::saturating).collect()
+}
+
 /// The elements of [`observe`] for the object `object` and its place to grasp `place`.
 pub fn observation_elements(object: &str, place: &str, preset: Preset) -> Vec<Element> {
     let relative = Aabb { min: THEATRE.min - REACH.max, max: THEATRE.max - REACH.min };
-    let mut elements = options::position_elements(object, "scene", &THEATRE, preset);
+    let mut elements = position_elements(object, &THEATRE, preset);
     let name = format!("{object} from wrist");
-    elements.extend(options::position_elements(&name, "scene", &relative.grown(1e-3), preset));
-    elements.extend(options::position_elements(place, "scene", &THEATRE, preset));
+    elements.extend(position_elements(&name, &relative.grown(1e-3), preset));
+    elements.extend(position_elements(place, &THEATRE, preset));
     elements.extend(options::euler_elements(place, "scene"));
     elements
 }
@@ -117,15 +123,15 @@ pub fn observe(object: &Pose, place: &Pose, wrist: &Pose, preset: Preset, values
 pub fn goal_spec(what: &str, preset: Preset) -> GoalSpec {
     let tolerance = TOLERANCE * options::position_scale(preset);
     GoalSpec {
-        elements: options::position_elements(what, "scene", &THEATRE, preset),
+        elements: position_elements(what, &THEATRE, preset),
         success: SuccessRule::Distance { tolerance: tolerance as f32 },
     }
 }
 
 /// Writes a goal, or what is achieved of it.
 pub fn write_goal(position: &Vector3<f64>, preset: Preset, values: &mut [f32]) {
-    let inside = THEATRE.clamp(position) * options::position_scale(preset);
-    for (value, number) in values.iter_mut().zip(inside.iter()) {
+    let scaled = position * options::position_scale(preset);
+    for (value, number) in values.iter_mut().zip(scaled.iter()) {
         *value = *number as f32;
     }
 }

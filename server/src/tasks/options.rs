@@ -6,6 +6,7 @@ use trocar_proto::goal::Reward;
 use trocar_proto::spec::{Allowed, Element, ImageKind, OptionSpec, OptionValue, RowSpec};
 use trocar_proto::{Code, Options, Rejection};
 
+use super::proprioception::Proprioception;
 use crate::sim::frames::{self, Aabb, Pose};
 use crate::sim::grasp::GraspMode;
 use crate::sim::random::Rng;
@@ -130,20 +131,45 @@ pub(crate) fn observes(options: &Options, name: &str) -> bool {
     matches!(wanted, Some(OptionValue::Texts(words)) if words.iter().any(|word| word == name))
 }
 
-/// The options that pictures bring to every task that has `observation`: what it accepts besides the state,
-/// `image_size`, `camera` and where a placed camera is.
-pub(super) fn with_images(mut known: Vec<OptionSpec>) -> Vec<OptionSpec> {
+/// Whether resolved options ask for the task's state.
+pub(crate) fn observes_state(options: &Options) -> bool {
+    observes(options, "state") || perceives(options)
+}
+
+/// `terminate`: whether success ends an episode.
+fn terminate() -> OptionSpec {
+    OptionSpec::choice(
+        "terminate",
+        "never: episodes go on to their time limit; success: the first success ends them.",
+        &["never", "success"],
+    )
+}
+
+/// Whether resolved options let success end an episode.
+pub(crate) fn terminates_on_success(options: &Options) -> bool {
+    options.text("terminate") == Some("success")
+}
+
+/// What a task knows, with the options that all tasks of its kind have: `terminate` where there is a goal, and
+/// what observations may have besides the state where there is `observation`: `image_size`, `camera` and where a
+/// placed camera is.
+pub(super) fn with_common(mut known: Vec<OptionSpec>) -> Vec<OptionSpec> {
+    if known.iter().any(|option| option.name == "reward") {
+        known.push(terminate());
+    }
     let Some(observation) = known.iter_mut().find(|option| option.name == "observation") else {
         return known;
     };
-    observation.summary = "What a step returns: state is the vector described by the task; rgb, \
-                           depth (m), mask (bodies) and points (m) are pictures."
+    observation.summary = "What a step returns: state is the vector described by the task; joints and \
+                           proprioception (joints, tip, jaw) are what the arms measure of themselves, after \
+                           it or without it; rgb, depth (m), mask (bodies) and points (m) are pictures."
         .into();
     if let Allowed::SomeOf(words) = &mut observation.allowed {
         if words.iter().any(|word| word == PERCEIVED) {
             observation.summary +=
                 " perceived: a state whose target is found in the endoscope's picture.";
         }
+        words.extend(Proprioception::WORDS.map(String::from));
         words.extend(ImageKind::ALL.map(|kind| kind.name().to_string()));
     }
     known.push(OptionSpec {
@@ -183,7 +209,7 @@ pub(super) fn with_images(mut known: Vec<OptionSpec>) -> Vec<OptionSpec> {
 /// and depth can be had.
 pub(super) fn of_views() -> Vec<OptionSpec> {
     let kinds = [ImageKind::Rgb, ImageKind::Depth].map(|kind| kind.name().to_string());
-    let mut known = with_images(vec![observation()]);
+    let mut known = with_common(vec![observation()]);
     for option in &mut known {
         match option.name.as_str() {
             "observation" => {
@@ -281,7 +307,7 @@ pub fn domain_with(own: impl IntoIterator<Item = RowSpec>) -> OptionSpec {
     let mut rows = Vec::from_iter(own);
     rows.extend([
         range_row("observation_noise", noise, 0.0, 0.01),
-        range_row("joint_offset", offset, -0.02, 0.02),
+        range_row("joint_offset", offset, -MOST_JOINT_OFFSET, MOST_JOINT_OFFSET),
         range_row("latency", latency, 0.0, 10.0),
         range_row("latency_seconds", late, 0.0, 1.0),
         range_row("action_noise", shaken, 0.0, 0.01),
@@ -294,6 +320,9 @@ pub fn domain_with(own: impl IntoIterator<Item = RowSpec>) -> OptionSpec {
         allowed: Allowed::Table(rows),
     }
 }
+
+/// Largest error of a rotary joint's encoder that episodes may draw, rad.
+pub const MOST_JOINT_OFFSET: f64 = 0.02;
 
 /// The row `friction` of `domain`.
 pub fn friction_row() -> RowSpec {

@@ -7,7 +7,7 @@ use nalgebra::Vector3;
 use trocar_proto::goal::SuccessRule;
 use trocar_proto::spec::GoalSpec;
 
-use super::objects::{Object, THEATRE};
+use super::objects::{self, Object, THEATRE};
 use super::options::{self, Domain, Preset};
 use super::tray;
 use crate::assets::{Model, Scaled};
@@ -220,7 +220,7 @@ impl PegBoard {
     pub fn goal_spec(preset: Preset) -> GoalSpec {
         let scale = options::position_scale(preset);
         GoalSpec {
-            elements: options::position_elements("block", "scene", &THEATRE, preset),
+            elements: objects::position_elements("block", &THEATRE, preset),
             success: SuccessRule::Seated {
                 horizontal: (HORIZONTAL * scale) as f32,
                 vertical: (VERTICAL * scale) as f32,

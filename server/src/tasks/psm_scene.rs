@@ -19,7 +19,6 @@
 //! | `cartesian_abs` | x, y, z within [`REACH`], rotation vector from jaws straight down (180°), jaw as before; a step goes at most 10 mm along each axis and 30° towards it |
 //! | `joint` | yaw, pitch (0.06 rad), insertion (10 mm), roll, wrist pitch, wrist yaw (30°), jaw as before |
 
-use std::collections::VecDeque;
 use std::f64::consts::{FRAC_PI_2, PI};
 
 use nalgebra::Vector3;
@@ -30,7 +29,7 @@ use super::options::{self, ActionMode, Preset, Range};
 use super::rate::Rate;
 use crate::render::skeleton::Skeleton;
 use crate::render::{Jaws, Scene};
-use crate::robots::Psm;
+use crate::robots::{JointLimit, Psm};
 use crate::sim::frames::{self, Aabb, Pose};
 use crate::sim::grasp::Grasp;
 use crate::sim::instrument::{self, Instrument, JAW_CLOSED, JAW_OPEN, Posture, TIP_OFFSET};
@@ -261,7 +260,7 @@ impl PsmArm {
                 scene_from_wrist: start,
                 jaw: JAW_CLOSED,
             },
-            profile: Profile::Streamed(VecDeque::new()),
+            profile: Profile::rest(Posture { world_from_wrist: start, jaw: JAW_CLOSED }),
             is_held_up: false,
             disturbance: None,
         };
@@ -300,6 +299,7 @@ impl PsmArm {
         let (joints, scene_from_wrist) = (self.joints, self.scene_from_wrist);
         self.commanded = Commanded { joints, scene_from_wrist, jaw: self.instrument.posture().jaw };
         self.is_held_up = false;
+        self.profile = Profile::rest(*self.instrument.posture());
     }
 
     /// Puts the arm, at once, where its true wrist is at `target`, jaws open by `jaw` (rad); false
@@ -501,10 +501,14 @@ impl PsmArm {
 
     /// The elements of [`Self::observe`].
     pub fn observation_elements(&self) -> Vec<Element> {
-        let mut elements =
-            options::position_elements("wrist", "scene", &self.reach.grown(1e-3), self.preset);
+        self.observation_elements_within(&self.reach.grown(1e-3))
+    }
+
+    /// The same for an arm whose wrist stays in `bounds`, m.
+    pub fn observation_elements_within(&self, bounds: &Aabb) -> Vec<Element> {
+        let mut elements = options::position_elements("wrist", "scene", bounds, self.preset);
         elements.extend(options::euler_elements("wrist link", "scene"));
-        elements.push(Element::new("jaw", "", "rad", -0.1, 1.0));
+        elements.push(Element::new("jaw", "", "rad", -0.1, instrument::FORCED_OPEN as f32));
         elements
     }
 
@@ -519,6 +523,43 @@ impl PsmArm {
         for (slot, number) in observation.iter_mut().zip(numbers) {
             *slot = *number as f32;
         }
+    }
+
+    /// The elements of [`Self::measured_joints`].
+    pub fn joint_elements(&self) -> Vec<Element> {
+        let names = ["yaw", "pitch", "insertion", "roll", "wrist pitch", "wrist yaw"];
+        let joint = |(name, limit): (&str, &JointLimit)| {
+            let is_length = name == "insertion";
+            let beyond = if is_length { 0.0 } else { options::MOST_JOINT_OFFSET };
+            let (min, max) = (limit.min - beyond, limit.max + beyond);
+            let unit = if is_length { "m" } else { "rad" };
+            Element::new(&format!("{name} joint"), "joint", unit, min as f32, max as f32)
+        };
+        let joints = names.into_iter().zip(self.kinematics.limits()).map(joint);
+        joints.chain([Element::new("jaw joint", "joint", "rad", -0.1, 1.0)]).collect()
+    }
+
+    /// What the joint sensors report: yaw, pitch (rad), insertion (m), roll, wrist pitch, wrist yaw, jaw (rad).
+    pub fn measured_joints(&self, world: &World) -> impl Iterator<Item = f32> {
+        self.joints.into_iter().chain([self.opening(world)]).map(|number| number as f32)
+    }
+
+    /// The elements of [`Self::measured_tip`].
+    pub fn tip_elements(&self) -> Vec<Element> {
+        let tip = self.reach.grown(TIP_OFFSET + 1e-3);
+        let mut elements = options::position_elements("tip", "scene", &tip, self.preset);
+        elements.extend(options::euler_elements("measured wrist link", "scene"));
+        elements
+    }
+
+    /// The tip of the closed jaws (x, y, z) and the extrinsic XYZ Euler angles of the wrist link (rad), as the
+    /// joint sensors report them.
+    pub fn measured_tip(&self) -> impl Iterator<Item = f32> {
+        let tip = self.scene_from_wrist * Pose::translation(0.0, 0.0, TIP_OFFSET);
+        let position = tip.translation.vector * options::position_scale(self.preset);
+        let angles = frames::euler_xyz(&(self.scene_from_wrist.rotation * wrist_from_link()));
+        let numbers = [position.x, position.y, position.z].into_iter().chain(angles);
+        numbers.map(|number| number as f32)
     }
 
     /// The pose nearest to `target` in which wrist and tip are where they may be.

@@ -30,6 +30,11 @@ pub enum Profile {
 }
 
 impl Profile {
+    /// Staying where it is.
+    pub fn rest(posture: Posture) -> Self {
+        Self::Smoothstep { start: posture, end: posture }
+    }
+
     /// The posture with the wrist where it is to be after `wrist` of `substeps` substeps, and the jaw where it is
     /// to be after `jaw` of them.
     ///
@@ -60,11 +65,14 @@ impl Profile {
         }
     }
 
-    /// Where it ends, if that is known.
-    pub fn end(&self) -> Option<Posture> {
+    /// Where it ends, as far as that is known.
+    ///
+    /// # Panics
+    /// Where no set-point was streamed.
+    pub fn end(&self) -> Posture {
         match self {
-            Self::Smoothstep { end, .. } | Self::Bend { end, .. } => Some(*end),
-            Self::Streamed(_) => None,
+            Self::Smoothstep { end, .. } | Self::Bend { end, .. } => *end,
+            Self::Streamed(points) => *points.back().expect("it begins somewhere"),
         }
     }
 }

@@ -32,7 +32,8 @@ impl PsmArm {
                     Turn::Vertical => turned.z / angle,
                     Turn::Pitch => {
                         let pitch = |pose: &Pose| pitch_of(self.index, &pose.rotation);
-                        (pitch(target) - pitch(now)) / (STEP_PITCH * scale)
+                        let turn = (pitch(target) - pitch(now)) / (STEP_PITCH * scale);
+                        turn.clamp(-1.0, 1.0)
                     }
                 };
                 [d.x, d.y, d.z, turn, opening, 0.0, 0.0]
@@ -44,6 +45,7 @@ impl PsmArm {
             ActionMode::CartesianAbs => {
                 let half = (self.reach.max - self.reach.min) * 0.5;
                 let p = (target.translation.vector - self.reach.centre()).component_div(&half);
+                let p = p.map(|number| number.clamp(-1.0, 1.0));
                 let r = (target.rotation * down().inverse()).scaled_axis() / PI;
                 [p.x, p.y, p.z, r.x, r.y, r.z, opening]
             }
@@ -63,7 +65,7 @@ impl PsmArm {
             }
         };
         for (number, value) in action.iter_mut().zip(numbers) {
-            *number = value.clamp(-1.0, 1.0) as f32;
+            *number = value as f32;
         }
     }
 
