@@ -51,9 +51,10 @@ demo: $(VENV)/ready ## * one server, a Rust and two Python clients at once; ends
 
 # Also what `every_task_looks_as_it_did` expects.
 .PHONY: pictures
-pictures: ## assets/pictures/<task>.png: a picture of every task, for the README and the tests
+pictures: ## assets/pictures: a picture of every task, for the README and the tests, and needle_pick.gif
 	$(CARGO) build --release --locked -p trocar
 	$(TARGET)/release/trocar render --each assets/pictures
+	$(TARGET)/release/trocar render --task NeedlePick-v0 --out assets/pictures/needle_pick.gif
 
 .PHONY: picture-viewer
 picture-viewer: $(VENV)/ready ## * assets/pictures/viewer.png: the live viewer, as test-browser sees it
