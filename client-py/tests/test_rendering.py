@@ -44,7 +44,7 @@ def test_pictures_show_the_present_state(server: str) -> None:
 def test_recordings_are_as_fast_as_the_simulated_time(
     server: str, task: str, options: dict[str, Any], fps: int
 ) -> None:
-    env: Any = gym.make(f"trocar/{task}", server=server, render_mode="rgb_array", **options)
+    env = trocar.TrocarEnv(task, server=server, render_mode="rgb_array", **options)
     assert env.metadata["render_fps"] == fps
     env.close()
     envs = trocar.TrocarVectorEnv(task, num_envs=2, server=server, **options)

@@ -49,8 +49,7 @@ fn a_film_is_as_long_as_the_episode_at_every_rate() {
 
 #[test]
 fn a_recording_gives_the_film_of_its_episode() {
-    let [recording, one, other] =
-        ["same.trocar", "same.gif", "again.gif"].map(|name| scratch(name));
+    let [recording, one, other] = ["same.trocar", "same.gif", "again.gif"].map(scratch);
     let [recording, one_file, other_file] =
         [&recording, &one, &other].map(|path| path.to_str().unwrap());
     let task =
