@@ -51,9 +51,10 @@ demo: $(VENV)/ready ## * one server, a Rust and two Python clients at once; ends
 
 # Also what `every_task_looks_as_it_did` expects.
 .PHONY: pictures
-pictures: ## assets/pictures/<task>.png: a picture of every task, for the README and the tests
+pictures: ## assets/pictures: a picture of every task, for the README and the tests, and needle_pick.gif
 	$(CARGO) build --release --locked -p trocar
 	$(TARGET)/release/trocar render --each assets/pictures
+	$(TARGET)/release/trocar render --task NeedlePick-v0 --out assets/pictures/needle_pick.gif
 
 # What `experts_do_as_well_as_the_table_says_and_stay_in_bounds` expects.
 .PHONY: experts

@@ -19,7 +19,6 @@ SMALL = {"image_size": (24, 32)}
 
 def test_pictures_show_the_present_state(server: str) -> None:
     env: Any = gym.make("trocar/NeedleReach-v0", server=server, render_mode="rgb_array")
-    assert env.metadata["render_fps"] == 5
     env.reset(seed=2)
     first = env.render()
     assert isinstance(first, np.ndarray)
@@ -31,6 +30,26 @@ def test_pictures_show_the_present_state(server: str) -> None:
     env.reset(seed=2)
     assert (env.render() == first).all()
     env.close()
+
+
+@pytest.mark.parametrize(
+    ("task", "options", "fps"),
+    [
+        ("NeedleReach-v0", {}, 5),
+        ("NeedleReach-v0", {"rate": 20.0}, 20),
+        ("ActiveTrack-v0", {}, 10),
+        ("ActiveTrack-v0", {"rate": 60.0}, 60),
+    ],
+)
+def test_recordings_are_as_fast_as_the_simulated_time(
+    server: str, task: str, options: dict[str, Any], fps: int
+) -> None:
+    env = trocar.TrocarEnv(task, server=server, render_mode="rgb_array", **options)
+    assert env.metadata["render_fps"] == fps
+    env.close()
+    envs = trocar.TrocarVectorEnv(task, num_envs=2, server=server, **options)
+    assert envs.metadata["render_fps"] == fps
+    envs.close()
 
 
 def test_depth_is_what_observations_of_depth_have(server: str) -> None:

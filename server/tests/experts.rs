@@ -116,7 +116,14 @@ impl Cases<'_> {
     /// Adds the ends of every row of `domain`, and all rows together over their whole ranges.
     fn add_domain(&mut self, option: &OptionSpec) {
         /// Rows for which experts are not made; what they make of them is told all the same.
-        const UNPROMISED: [&str; 3] = ["friction", "joint_offset", "latency"];
+        const UNPROMISED: [&str; 6] = [
+            "friction",
+            "joint_offset",
+            "latency",
+            "latency_seconds",
+            "action_noise",
+            "action_noise_angle",
+        ];
         let Allowed::Table(rows) = &option.allowed else { return };
         let draws = |ranges: BTreeMap<String, Vec<f64>>| {
             Options::new().with("domain", OptionValue::Table(ranges))
@@ -170,6 +177,15 @@ fn cases() -> Vec<Case> {
                     let options = Options::new().with(&option.name, words);
                     // What an expert that perceives must achieve is tested with pictures.
                     own.add(options, [[5, 50]; 2], None);
+                }
+                Allowed::NumberOf(numbers) => {
+                    for number in
+                        numbers.iter().filter(|it| option.default != OptionValue::Number(**it))
+                    {
+                        let options =
+                            Options::new().with(&option.name, OptionValue::Number(*number));
+                        own.add(options, [[4, 100], [20, 100]], may_fail);
+                    }
                 }
                 Allowed::Table(_) if option.name == "domain" => own.add_domain(option),
                 _ => {}

@@ -1,7 +1,9 @@
 //! `trocar render`: pictures of rollouts.
 
+mod film;
 pub(crate) mod image;
 pub(crate) mod look;
+pub(crate) mod moments;
 mod place;
 
 use std::path::{Path, PathBuf};
@@ -10,7 +12,6 @@ use anyhow::Context;
 use clap::Args;
 use trocar_proto::Options;
 use trocar_server::Env;
-use trocar_server::render::Scene;
 use trocar_server::tasks::Registry;
 
 use crate::exit::Exit;
@@ -18,6 +19,7 @@ use crate::options::{self, Assignment};
 use crate::policy::Policy;
 use image::Image;
 use look::{Format, GAP, Look};
+use moments::Moment;
 
 /// Draw rollouts: a contact sheet, a moving picture, or one picture of each task.
 #[derive(Debug, Args)]
@@ -25,6 +27,7 @@ use look::{Format, GAP, Look};
 Examples:
   trocar render --out all.png                                  a contact sheet: a row for each task
   trocar render --task NeedlePick-v0 --out pick.gif            a moving picture of the expert
+  trocar render --task ActiveTrack-v0 --fps 50 --out track.gif smoother, in as long
   trocar render --task PegTransfer-v0 --camera endoscope --show rgb,depth,mask --out peg.png
   trocar render --task NeedlePick-v0 --eye 0.8,0.2,0.9 --target 0.55,0,0.7 --out near.png
   trocar render --each pictures/                               one picture of each task
@@ -43,9 +46,6 @@ pub(crate) struct Render {
     seed: u64,
     #[command(flatten)]
     look: Look,
-    /// In a contact sheet: how many moments of an episode
-    #[arg(long, default_value_t = 4, value_parser = clap::value_parser!(u32).range(1..=100))]
-    moments: u32,
     /// Any option of the task; for a row of a table NAME.ROW=LOW,HIGH. May be repeated
     #[arg(long = "option", value_name = "NAME=VALUE", value_parser = Assignment::parse)]
     options: Vec<Assignment>,
@@ -76,23 +76,19 @@ impl Render {
             Format::Sheet => {
                 let mut rows = Vec::new();
                 for (task, options) in &tasks {
-                    let episode = self.episode(&registry, task, options)?;
-                    rows.push(self.look.row(&episode, self.moments)?);
+                    let episode = self.episode(&registry, task, options, format)?;
+                    rows.push(self.look.row(&episode)?);
                     eprintln!("row {}: {task}, {} steps", rows.len(), episode.len() - 1);
                 }
                 Image::below(&rows, GAP).write_png(path)?;
             }
             Format::Moving => {
-                let mut frames = Vec::new();
-                let mut seconds = 0.1;
+                let mut film = Vec::new();
                 for (task, options) in &tasks {
-                    seconds = registry.spec(task, options)?.seconds_per_step;
-                    for scene in self.episode(&registry, task, options)? {
-                        frames.push(self.look.picture(&scene)?);
-                    }
-                    eprintln!("{task}: {} pictures so far", frames.len());
+                    film.extend(self.episode(&registry, task, options, format)?);
+                    eprintln!("{task}: {} pictures so far", film.len());
                 }
-                image::write_gif(path, &frames, seconds)?;
+                self.look.write_film(path, &film)?;
             }
         }
         eprintln!("wrote {}", path.display());
@@ -109,39 +105,40 @@ impl Render {
         std::fs::create_dir_all(folder)
             .with_context(|| format!("creating {}", folder.display()))?;
         for (task, options) in tasks {
-            let episode = self.episode(registry, task, options)?;
+            let episode = self.episode(registry, task, options, Format::Sheet)?;
             let path = folder.join(format!("{task}.png"));
-            self.look.picture(&episode[amid(episode.len())])?.write_png(&path)?;
+            self.look.picture(&episode[amid(episode.len())].scene)?.write_png(&path)?;
             eprintln!("wrote {}", path.display());
         }
         Ok(())
     }
 
-    /// What there is to see at the beginning of an episode and after each of its steps.
+    /// What a file of this format shows of an episode.
     fn episode(
         &self,
         registry: &Registry,
         task: &str,
         options: &Options,
-    ) -> anyhow::Result<Vec<Scene>> {
+        format: Format,
+    ) -> anyhow::Result<Vec<Moment>> {
         let mut env = registry.make(task, options)?;
         env.reset(Some(self.seed));
         let mut actor = self.policy.actor(self.seed);
         let mut action = vec![0.0; env.spec().action_dim()];
-        let mut scenes = vec![env.scene()];
+        let mut moments = self.look.moments(format, env.spec().seconds_per_step);
+        moments.see(env.stage(), || env.scene());
         while !env.needs_reset() {
             actor.act(&mut action, |action| env.expert(action));
-            match env.step(&action) {
-                Ok(step) => {
-                    scenes.push(env.scene());
-                    if step.is_success && self.policy == Policy::Oracle && is_at_rest(&env) {
-                        break; // nothing new is to be seen
-                    }
-                }
-                Err(error) => return Err(error).with_context(|| format!("{task} failed")),
+            let (stage, parts) = (env.stage(), moments.parts());
+            let step = env
+                .step_in_parts(&action, parts, &mut |scene| moments.see(stage, || scene))
+                .with_context(|| format!("{task} failed"))?;
+            moments.see(env.stage(), || env.scene());
+            if step.is_success && self.policy == Policy::Oracle && is_at_rest(&env) {
+                break; // nothing new is to be seen
             }
         }
-        Ok(scenes)
+        Ok(moments.into_list())
     }
 }
 

@@ -9,15 +9,15 @@ use anyhow::Context;
 use clap::Args;
 use serde::Serialize;
 use trocar_server::env::recording::{self, Course, Replay as Replaying};
-use trocar_server::render::Scene;
 use trocar_server::service::StopSignal;
 use trocar_server::tasks::Registry;
 use trocar_server::view::View;
 use trocar_server::view::reel::Reel;
 
 use crate::output;
-use crate::render::image::{self, Image};
+use crate::render::image::Image;
 use crate::render::look::{Format, GAP, Look};
+use crate::render::moments::{Moment, Moments};
 use crate::serve::parse_address;
 
 /// Play a recording again, compare its bits, draw it.
@@ -42,9 +42,6 @@ pub(crate) struct Replay {
     /// Draw them: .png is a contact sheet, .gif moves
     #[arg(long, value_name = "FILE")]
     out: Option<PathBuf>,
-    /// In a contact sheet: how many moments of an episode
-    #[arg(long, default_value_t = 4, value_parser = clap::value_parser!(u32).range(1..=100))]
-    moments: u32,
     #[command(flatten)]
     look: Look,
     /// Serve a page that plays them, until Ctrl-C, at this address: a port of 127.0.0.1, or ADDRESS:PORT
@@ -78,7 +75,7 @@ impl Replay {
         let header =
             ["file", "episode", "task", "seed", "steps", "snapshots", "return", "ends in success"];
         let mut table = output::table(&header, 3);
-        let (mut rows, mut frames, mut seconds) = (vec![], vec![], 0.1);
+        let (mut rows, mut film) = (vec![], vec![]);
         let mut watched = vec![];
         for file in &self.files {
             let name = file.display().to_string();
@@ -93,21 +90,15 @@ impl Replay {
                 watched.push((short(file), courses));
             }
             for (index, course) in chosen {
-                let (row, scenes) = play(&registry, &name, index, course, format.is_some())
+                let (row, moments) = self
+                    .play(&registry, &name, index, course, format)
                     .with_context(|| name.clone())?;
                 if self.json {
                     output::json_line(&row)?;
                 }
                 match format {
-                    Some(Format::Sheet) => rows.push(self.look.row(&scenes, self.moments)?),
-                    Some(Format::Moving) => {
-                        seconds = registry
-                            .spec(&row.task, &trocar_proto::Options::new())?
-                            .seconds_per_step;
-                        for scene in &scenes {
-                            frames.push(self.look.picture(scene)?);
-                        }
-                    }
+                    Some(Format::Sheet) => rows.push(self.look.row(&moments)?),
+                    Some(Format::Moving) => film.extend(moments),
                     None => {}
                 }
                 let ending = match (row.failed, row.success) {
@@ -136,7 +127,7 @@ impl Replay {
         if let (Some(path), Some(format)) = (&self.out, format) {
             match format {
                 Format::Sheet => Image::below(&rows, GAP).write_png(path)?,
-                Format::Moving => image::write_gif(path, &frames, seconds)?,
+                Format::Moving => self.look.write_film(path, &film)?,
             }
             eprintln!("wrote {}", path.display());
         }
@@ -144,6 +135,54 @@ impl Replay {
             Some(address) => serve(address, Reel::new(registry, watched)?),
             None => Ok(()),
         }
+    }
+
+    /// Plays an episode, and collects what a file of this format shows of it.
+    fn play(
+        &self,
+        registry: &Registry,
+        file: &str,
+        index: usize,
+        course: Course,
+        format: Option<Format>,
+    ) -> anyhow::Result<(Row, Vec<Moment>)> {
+        let mut row = Row {
+            file: file.into(),
+            episode: index,
+            task: course.task().into(),
+            seed: course.seed(),
+            number: course.episode(),
+            steps: 0,
+            snapshots: course.marks(),
+            total: 0.0,
+            success: false,
+            failed: false,
+        };
+        let mut replay = Replaying::new(registry, course)?;
+        let seconds = replay.env().spec().seconds_per_step;
+        let mut moments = format.map(|format| self.look.moments(format, seconds));
+        if let Some(moments) = &mut moments {
+            moments.see(replay.env().stage(), || replay.env().scene());
+        }
+        let parts = moments.as_ref().map_or(1, Moments::parts);
+        loop {
+            let stage = replay.env().stage();
+            let mut see = |scene| {
+                if let Some(moments) = &mut moments {
+                    moments.see(stage, || scene);
+                }
+            };
+            let Some(step) = replay.next_in_parts(parts, &mut see) else { break };
+            let step = step?;
+            row.steps += 1;
+            row.total += f64::from(step.reward);
+            row.success = step.is_success;
+            if let Some(moments) = moments.as_mut().filter(|_| !replay.has_failed()) {
+                moments.see(replay.env().stage(), || replay.env().scene());
+            }
+        }
+        row.failed = replay.has_failed();
+        Ok((row, moments.map_or_else(Vec::new, Moments::into_list)))
     }
 }
 
@@ -163,39 +202,4 @@ fn serve(address: SocketAddr, reel: Reel) -> anyhow::Result<()> {
         std::thread::sleep(Duration::from_millis(20));
     }
     Ok(())
-}
-
-/// Plays an episode; with all that there is to see if `is_drawn`.
-fn play(
-    registry: &Registry,
-    file: &str,
-    index: usize,
-    course: Course,
-    is_drawn: bool,
-) -> anyhow::Result<(Row, Vec<Scene>)> {
-    let mut row = Row {
-        file: file.into(),
-        episode: index,
-        task: course.task().into(),
-        seed: course.seed(),
-        number: course.episode(),
-        steps: 0,
-        snapshots: course.marks(),
-        total: 0.0,
-        success: false,
-        failed: false,
-    };
-    let mut replay = Replaying::new(registry, course)?;
-    let mut scenes: Vec<_> = is_drawn.then(|| replay.env().scene()).into_iter().collect();
-    while let Some(step) = replay.next() {
-        let step = step?;
-        row.steps += 1;
-        row.total += f64::from(step.reward);
-        row.success = step.is_success;
-        if is_drawn && !replay.has_failed() {
-            scenes.push(replay.env().scene());
-        }
-    }
-    row.failed = replay.has_failed();
-    Ok((row, scenes))
 }

@@ -64,10 +64,12 @@ impl Env {
         parts: u32,
         see: &mut dyn FnMut(Scene),
     ) -> Result<super::Step, StepError> {
-        let mut copy = self.clone();
-        let step = self.step(action)?;
         // Where nothing is in their way, instruments take a step at once, in which nothing can be seen.
-        copy.pass(action, parts, &mut |scene| see(scene));
+        let copy = (parts > 1).then(|| self.clone());
+        let step = self.step(action)?;
+        if let Some(mut copy) = copy {
+            copy.pass(action, parts, see);
+        }
         Ok(step)
     }
 

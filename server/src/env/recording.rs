@@ -13,6 +13,7 @@ use trocar_proto::{Code, Options, Rejection};
 
 use super::{Env, Step};
 use crate::error::StepError;
+use crate::render::Scene;
 use crate::tasks::Registry;
 
 /// Steps from one snapshot of an episode to the next, unless said otherwise.
@@ -161,12 +162,22 @@ impl Replay {
         reason = "one looks at the environment between the steps"
     )]
     pub fn next(&mut self) -> Option<Result<Step, Rejection>> {
+        self.next_in_parts(1, &mut |_| {})
+    }
+
+    /// As [`Self::next`], and shows what there is to see at the ends of `parts` even parts of the step but the
+    /// last; nothing of a step that fails.
+    pub fn next_in_parts(
+        &mut self,
+        parts: u32,
+        see: &mut dyn FnMut(Scene),
+    ) -> Option<Result<Step, Rejection>> {
         let actions = &self.course.recipe.actions;
         if self.done >= actions.len() {
             return None;
         }
         let end = self.done + self.env.spec.action_dim();
-        let step = match self.env.step(&actions[self.done..end]) {
+        let step = match self.env.step_in_parts(&actions[self.done..end], parts, see) {
             Ok(step) => step,
             Err(StepError::Simulation { .. }) => {
                 self.failed = true;

@@ -136,6 +136,39 @@ impl Shown {
         }
     }
 
+    /// Eight squares of two pixels by two, side by side, as if each were one pixel; none where a square shows
+    /// more than one face.
+    pub(super) fn squares(tile: &Tile, row: usize, group: usize) -> Option<Self> {
+        let line = |numbers, row| [eight(numbers, row, group), eight(numbers, row, group + 1)];
+        let [upper, lower] = [row, row + 1].map(|row| line(&tile.faces, row));
+        // As bits: a number's may be those of something that is not equal to itself.
+        let [upper, lower] = [&upper, &lower].map(|line| line.as_flattened());
+        let face = |square: usize| upper[2 * square].to_bits();
+        let is_one = |square: usize| {
+            let others = [upper[2 * square + 1], lower[2 * square], lower[2 * square + 1]];
+            others.iter().all(|other| other.to_bits() == face(square))
+        };
+        if !(0..LANES).all(is_one) {
+            return None;
+        }
+        let [upper, lower] = [row, row + 1].map(|row| line(&tile.keys, row));
+        let [upper, lower] = [&upper, &lower].map(|line| line.as_flattened());
+        // Along a face, keys are linear.
+        let key = |square: usize| {
+            let [left, right] = [2 * square, 2 * square + 1];
+            0.25 * (upper[left] + upper[right] + lower[left] + lower[right])
+        };
+        let faces = std::array::from_fn(face);
+        let first = (tile.origin[0] + group * LANES) as f32 + 0.5;
+        Some(Self {
+            columns: f32x8::splat(first) + f32x8::splat(2.0) * STEPS,
+            row: (tile.origin[1] + row) as f32 + 0.5,
+            faces,
+            seen: mask(faces.map(|face| face > 0)),
+            depth: f32x8::splat(1.0) / f32x8::new(std::array::from_fn(key)),
+        })
+    }
+
     /// Whether no pixel shows a face.
     pub(super) fn is_nothing(&self) -> bool {
         self.faces == [0; LANES]

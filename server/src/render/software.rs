@@ -20,7 +20,8 @@ pub struct Software {
     /// Most pixels of the shadow map along each side, a multiple of 64: it has no more than the picture; 0
     /// for no shadows.
     pub shadow: usize,
-    /// Colours are the mean of so many places along each side of a pixel: 1 for none but its middle.
+    /// Colours are the mean of so many places along each side of a pixel: 1 for none but its middle. With 2, a
+    /// pixel whose places all show the same face has the colour of its middle.
     pub samples: usize,
     /// Whether one picture is drawn by many threads: the bytes are the same.
     pub parallel: bool,
@@ -156,15 +157,11 @@ impl Software {
                 for number in list {
                     tile.draw(&faces.faces, *number);
                 }
-                let rows = (band.len() / (3 * size[0])).min(TILE);
-                for row in 0..rows {
-                    let line = &mut band[3 * (row * size[0] + origin[0])..3 * (row + 1) * size[0]];
-                    for (group, eight) in line.chunks_mut(3 * LANES).take(GROUPS).enumerate() {
-                        let colours = shader.colours(&Shown::of(tile, row, group));
-                        let colours = colours.map(f32x8::to_array);
-                        for (lane, pixel) in eight.chunks_exact_mut(3).enumerate() {
-                            pixel.copy_from_slice(&colours.each_ref().map(|each| each[lane]));
-                        }
+                for (pair, lines) in band.chunks_mut(6 * size[0]).enumerate() {
+                    let mut lines = lines.split_at_mut(3 * size[0]);
+                    for pair_of_groups in 0..GROUPS / 2 {
+                        let at = [2 * pair, 2 * pair_of_groups];
+                        shade_square(&shader, tile, at, several == 2, [&mut lines.0, &mut lines.1]);
                     }
                 }
             }
@@ -198,6 +195,40 @@ impl Software {
         } else {
             for (index, mut band) in bands.into_iter().enumerate() {
                 work(&mut band, index, tile);
+            }
+        }
+    }
+}
+
+/// Shades two rows of two groups of a tile from a row and a group on, and writes their light into two lines of the
+/// picture. If `in_squares`, four samples of one face are shaded once, in their middle.
+fn shade_square(
+    shader: &Shader<'_>,
+    tile: &Tile,
+    [row, group]: [usize; 2],
+    in_squares: bool,
+    lines: [&mut [f32]; 2],
+) {
+    let first = 3 * (tile.origin[0] + group * LANES);
+    let squares = if in_squares { Shown::squares(tile, row, group) } else { None };
+    if let Some(squares) = squares {
+        let [red, green, blue] = shader.colours(&squares).map(f32x8::to_array);
+        for line in lines {
+            let line = line.get_mut(first..).unwrap_or_default();
+            for (lane, two) in line.chunks_exact_mut(6).take(LANES).enumerate() {
+                let [red, green, blue] = [red[lane], green[lane], blue[lane]];
+                two.copy_from_slice(&[red, green, blue, red, green, blue]);
+            }
+        }
+        return;
+    }
+    for (row, line) in (row..).zip(lines) {
+        let line = line.get_mut(first..).unwrap_or_default();
+        for (group, eight) in (group..group + 2).zip(line.chunks_mut(3 * LANES)) {
+            let [red, green, blue] =
+                shader.colours(&Shown::of(tile, row, group)).map(f32x8::to_array);
+            for (lane, pixel) in eight.chunks_exact_mut(3).enumerate() {
+                pixel.copy_from_slice(&[red[lane], green[lane], blue[lane]]);
             }
         }
     }

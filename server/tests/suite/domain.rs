@@ -169,6 +169,19 @@ fn every_range_of_a_domain_does_what_it_says() {
                         assert_eq!(f64::from(steps), number + 1.0, "{what}");
                     }
                 }
+                "latency_seconds" => {
+                    let seconds = plain(id).spec().seconds_per_step;
+                    for number in [min, max] {
+                        let steps = steps_until_commands_show(fixed(id, &name, number));
+                        assert_eq!(f64::from(steps), (number / seconds).floor() + 1.0, "{what}");
+                    }
+                }
+                "action_noise" | "action_noise_angle" => {
+                    assert!(shown(fixed(id, &name, min), 50) == shown(plain(id), 50), "{what}");
+                    let noisy = shown(fixed(id, &name, max), 50);
+                    assert!(noisy != shown(plain(id), 50), "{what}: is not to be seen");
+                    assert!(noisy == shown(fixed(id, &name, max), 50), "{what}");
+                }
                 "friction" => {
                     // It shows where something slips: what is heavy.
                     let heavy = |friction: f64| {

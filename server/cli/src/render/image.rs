@@ -4,7 +4,7 @@ use std::fs::File;
 use std::io::BufWriter;
 use std::path::Path;
 
-use anyhow::{Context, ensure};
+use anyhow::Context;
 use trocar_server::render::Picture;
 
 use super::look::Layer;
@@ -98,25 +98,6 @@ fn colour_of(body: i32) -> [u8; 3] {
         0 => [0; 3],
         _ => [24, 16, 8].map(|shift| 64 + ((mix >> shift) as u8 / 4) * 3),
     }
-}
-
-/// Writes images of the same size as a moving picture; each is shown for `seconds`.
-pub(crate) fn write_gif(path: &Path, frames: &[Image], seconds: f64) -> anyhow::Result<()> {
-    /// From 1, slow and best, to 30.
-    const SPEED: i32 = 10;
-    let first = frames.first().context("nothing to show")?;
-    let is_same = |frame: &Image| (frame.width, frame.height) == (first.width, first.height);
-    ensure!(frames.iter().all(is_same), "pictures of several sizes");
-    let (width, height) = (u16::try_from(first.width)?, u16::try_from(first.height)?);
-    let file = File::create(path).with_context(|| format!("creating {}", path.display()))?;
-    let mut encoder = gif::Encoder::new(BufWriter::new(file), width, height, &[])?;
-    encoder.set_repeat(gif::Repeat::Infinite)?;
-    for image in frames {
-        let mut frame = gif::Frame::from_rgb_speed(width, height, &image.rgb, SPEED);
-        frame.delay = (seconds * 100.0).round() as u16; // hundredths of a second
-        encoder.write_frame(&frame)?;
-    }
-    Ok(())
 }
 
 #[cfg(test)]

@@ -4,14 +4,22 @@ use std::path::Path;
 
 use anyhow::Context;
 use clap::{Args, ValueEnum};
-use trocar_server::render::{Camera, Renderer, Scene, Software};
+use trocar_server::render::{Camera, Canvas, Picture, Renderer, Scene, Software};
 
+use super::film;
 use super::image::Image;
+use super::moments::{self, Moment, Moments};
 use super::place::{self, Place};
 use crate::exit::Exit;
 
 /// Pixels between pictures of a sheet.
 pub(crate) const GAP: usize = 4;
+
+/// Most pictures a second: players slow down those that are shown for less than 2/100 s.
+const MOST_FPS: i64 = 50;
+
+/// How moving pictures are drawn: four samples a pixel, where [`Software::fine`] takes nine.
+const FILM: Software = Software { shadow: 512, samples: 2, parallel: true };
 
 /// How scenes become pictures.
 #[derive(Debug, Args)]
@@ -34,6 +42,12 @@ pub(crate) struct Look {
     /// Width and height of each picture, pixels
     #[arg(long, value_name = "WIDTHxHEIGHT", default_value = "320x240", value_parser = place::size)]
     size: [usize; 2],
+    /// In a contact sheet: how many moments of an episode, first those at which the expert's stage changes
+    #[arg(long, default_value_t = 4, value_parser = clap::value_parser!(u32).range(1..=100))]
+    moments: u32,
+    /// In a moving picture: pictures in a second of simulated time
+    #[arg(long, default_value_t = 25, value_parser = clap::value_parser!(u32).range(1..=MOST_FPS))]
+    fps: u32,
 }
 
 /// What of a picture is shown.
@@ -48,6 +62,7 @@ pub(crate) enum Layer {
 }
 
 /// How a file is written.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Format {
     Sheet,
     Moving,
@@ -74,17 +89,35 @@ impl Format {
 }
 
 impl Look {
-    /// So many moments of an episode, the first and last among them, beside each other.
-    pub(crate) fn row(&self, episode: &[Scene], moments: u32) -> anyhow::Result<Image> {
-        let count = (moments as usize).min(episode.len());
-        let moment = |index: usize| index * (episode.len() - 1) / (count - 1).max(1);
+    /// Ready to collect what a file of this format shows of an episode with steps of so many seconds.
+    pub(crate) fn moments(&self, format: Format, seconds_per_step: f64) -> Moments {
+        match format {
+            Format::Sheet => Moments::each_step(),
+            Format::Moving => Moments::per_second(self.fps, seconds_per_step),
+        }
+    }
+
+    /// A row of a contact sheet: the moments of an episode that tell most, beside each other.
+    pub(crate) fn row(&self, episode: &[Moment]) -> anyhow::Result<Image> {
+        let stages: Vec<_> = episode.iter().map(|moment| moment.stage).collect();
+        let chosen = moments::chosen(&stages, self.moments as usize);
         let pictures: Result<Vec<_>, _> =
-            (0..count).map(|index| self.picture(&episode[moment(index)])).collect();
+            chosen.into_iter().map(|index| self.picture(&episode[index].scene)).collect();
         Ok(Image::beside(&pictures?, GAP))
+    }
+
+    /// Writes episodes one after the other as a moving picture.
+    pub(crate) fn write_film(&self, path: &Path, episodes: &[Moment]) -> anyhow::Result<()> {
+        let draw = |index: usize| self.drawn(&FILM, &episodes[index].scene);
+        film::write(path, self.fps, episodes.len(), draw)
     }
 
     /// All that is shown of one moment, side by side.
     pub(crate) fn picture(&self, scene: &Scene) -> anyhow::Result<Image> {
+        self.drawn(&Software::fine(), scene)
+    }
+
+    fn drawn(&self, renderer: &Software, scene: &Scene) -> anyhow::Result<Image> {
         let [width, height] = self.size;
         let cameras: Vec<Camera> = if let (Some(eye), Some(target)) = (self.eye, self.target) {
             vec![place::towards(eye, target, self.fov)?.camera(width, height)]
@@ -95,10 +128,14 @@ impl Look {
             };
             self.camera.iter().map(camera).collect::<anyhow::Result<_>>()?
         };
-        let renderer = Software::fine();
         let mut parts = Vec::new();
         for camera in &cameras {
-            let picture = renderer.picture(scene, camera);
+            let mut picture = Picture::new(width, height);
+            let canvas = picture.canvas();
+            let needs_bodies = self.show.iter().any(|layer| *layer != Layer::Rgb);
+            let canvas =
+                if needs_bodies { canvas } else { Canvas { depth: None, mask: None, ..canvas } };
+            renderer.render(scene, camera, canvas);
             parts.extend(self.show.iter().map(|layer| Image::of(&picture, *layer)));
         }
         Ok(Image::beside(&parts, 0))

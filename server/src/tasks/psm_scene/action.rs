@@ -32,8 +32,7 @@ impl PsmArm {
                     Turn::Vertical => turned.z / angle,
                     Turn::Pitch => {
                         let pitch = |pose: &Pose| pitch_of(self.index, &pose.rotation);
-                        let turn = (pitch(target) - pitch(now)) / (STEP_PITCH * scale);
-                        turn.clamp(-1.0, 1.0)
+                        (pitch(target) - pitch(now)) / (STEP_PITCH * scale)
                     }
                 };
                 [d.x, d.y, d.z, turn, opening, 0.0, 0.0]
@@ -65,7 +64,7 @@ impl PsmArm {
             }
         };
         for (number, value) in action.iter_mut().zip(numbers) {
-            *number = value as f32;
+            *number = value.clamp(-1.0, 1.0) as f32;
         }
     }
 
