@@ -214,7 +214,7 @@ impl HandOver {
         };
         let short = -off.translation.z;
         let is_closing =
-            taker.closes() && !taker.is_empty() && off.translation.vector.norm() < NEAR;
+            taker.closes() && !taker.is_closed() && off.translation.vector.norm() < NEAR;
         let comes = is_within(if short < 0.8 * self.hover { COMING } else { ALIGNED });
         if !offered || !is_closing && (taker.closes() || !taker.is_open()) {
             (hover, JAW_OPEN)

@@ -133,9 +133,14 @@ impl ArmView {
         self.opening > OPEN
     }
 
+    /// Whether the jaws are told to be closed now. Jaws that do not have an object then have missed it.
+    pub fn is_closed(&self) -> bool {
+        self.told < EMPTY
+    }
+
     /// Whether the jaws have closed and nothing is between them.
     pub fn is_empty(&self) -> bool {
-        self.told < EMPTY && self.opening < EMPTY
+        self.is_closed() && self.opening < EMPTY
     }
 
     /// Whether the commands up to now close the jaws, or keep them closed.
@@ -156,7 +161,7 @@ impl ArmView {
 
     /// Whether the jaws have closed on `object`: both fingers press on it, or something keeps them apart where it is.
     pub fn has(&self, world: &World, object: BodyId, input: &ExpertInput<'_>) -> bool {
-        if self.told > EMPTY {
+        if !self.is_closed() {
             return false; // open fingers may press on what they come down on
         }
         if self.sees == Sees::Truth && self.ahead.holds(world, object) {

@@ -169,7 +169,7 @@ impl Transfer {
         let is_low = off.z < LOW || off.z < LOW_ENOUGH && arm.is_held_up();
         let is_about = is_turned && is_within(ABOUT) && is_low;
         let is_ready = arm.is_open() && !arm.closes();
-        let is_closing = arm.closes() && !arm.is_empty() && off.norm() < CLOSING;
+        let is_closing = arm.closes() && !arm.is_closed() && off.norm() < CLOSING;
         if is_closing || is_about && is_ready {
             return (Stage::Pick, (grasp, JAW_CLOSED));
         }

@@ -92,7 +92,7 @@ impl Pick {
         let turned = (arm.aim.rotation * self.grasp.rotation.inverse()).scaled_axis().z.abs();
         let (aside, is_turned) = (off.xy().norm(), turned < TURNED);
         let is_low = off.z < LOW || off.z < LOW_ENOUGH && (arm.is_held_up() || arm.is_lowest());
-        let is_closing = arm.closes() && off.norm() < CLOSING + PRESS && !arm.is_empty();
+        let is_closing = arm.closes() && off.norm() < CLOSING + PRESS && !arm.is_closed();
         let is_about = aside < ABOUT && is_turned && is_low && arm.is_open() && !arm.closes();
         if is_closing || is_about {
             (Stage::Pick, deep, JAW_CLOSED)
