@@ -70,6 +70,7 @@ def test_the_spec_of_an_environment_has_its_own_episode_length(task: str, server
         env = gym.make(f"trocar/{task}", server=server, rate=rate)
         vector = gym.make_vec(f"trocar/{task}", num_envs=2, server=server, rate=rate)
         nominal = RATES.get(task, 5)
+        assert env.spec is not None
         for spec in (env.spec, gym.make(env.spec, server=server).spec, vector.spec):
             assert spec is not None
             assert spec.max_episode_steps == TASKS[task] * rate // nominal
@@ -95,7 +96,8 @@ def test_success_ends_an_episode_where_that_is_asked_for(server: str) -> None:
         obs, _, terminated, truncated, info = env.step(info["expert_action"])
         goals = obs["achieved_goal"], obs["desired_goal"]
         assert terminated == info["is_success"] == env.compute_terminated(*goals, info)
-        assert not truncated and not env.compute_truncated(*goals, info)
+        assert not truncated
+        assert not env.compute_truncated(*goals, info)
     with pytest.raises(ResetNeeded):
         env.step(info["expert_action"])
     env.close()

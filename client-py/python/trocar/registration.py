@@ -8,9 +8,9 @@ from trocar._connection import connect
 
 NAMESPACE = "trocar"
 
-# The steps of an episode at each task's nominal rate, here so that importing needs no server; a test
-# compares them with the server's. Gymnasium's registry has none: its TimeLimit would cut episodes of
-# other rates short. An environment's own spec says how many steps its episodes have.
+# The steps of an episode at each task's nominal rate, here so that importing needs no server; a
+# test compares them with the server's. Gymnasium's registry has none: its TimeLimit would cut
+# episodes of other rates short. An environment's own spec says how many steps its episodes have.
 TASKS = {
     "NeedleReach-v0": 50,
     "NeedlePick-v0": 50,
