@@ -13,6 +13,7 @@ use trocar_server::service::{ServerConfig, StopSignal, serve};
 use trocar_server::sim::frames::{self, Pose};
 use trocar_server::sim::random::Rng;
 use trocar_server::sim::world::{BodyId, Motion, Part, Shape, Solver, World};
+use trocar_server::tasks::expert::ExpertInput;
 use trocar_server::{Registry, Task};
 
 /// A ball in the air: 1 makes its observation no number, −1 throws it away.
@@ -75,7 +76,7 @@ impl Task for Clumsy {
         0.0
     }
 
-    fn expert(&self, _: &World, _: &mut [f32]) {}
+    fn expert(&self, _: &World, _: &ExpertInput<'_>, _: &mut [f32]) {}
 }
 
 fn registry() -> Registry {

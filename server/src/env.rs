@@ -18,9 +18,9 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
-use std::collections::VecDeque;
 use std::sync::Arc;
 
+use nalgebra::Vector3;
 use trocar_proto::goal::Reward;
 use trocar_proto::snapshot::{self, Recipe};
 use trocar_proto::spec::Element;
@@ -30,6 +30,7 @@ use crate::error::StepError;
 use crate::render::Scene;
 use crate::sim::random::Rng;
 use crate::sim::world::World;
+use crate::tasks::expert::{ExpertInput, Sees};
 use crate::tasks::options::{self, Domain, SCALED_LENGTH, SCALED_LENGTHS_PER_METRE};
 use crate::tasks::proprioception::Proprioception;
 use crate::tasks::start::Starts;
@@ -80,6 +81,7 @@ pub struct Env {
     beginning: Beginning,
     options: Arc<Options>,
     imaging: Option<Arc<Imaging>>,
+    expert_sees: Sees,
     domain: Domain,
     task: Box<dyn AnyTask>,
     world: World,
@@ -99,7 +101,7 @@ pub struct Env {
     /// Whether the arms were driven from outside in this episode: then no actions lead to its state.
     is_driven: bool,
     /// Actions on their way, the oldest first.
-    delayed: VecDeque<f32>,
+    delayed: Vec<f32>,
     command: Vec<f32>,
     /// Which numbers an observation has besides, or in place of, the task's.
     own: Proprioception,
@@ -198,6 +200,7 @@ impl Env {
             } else {
                 Beginning::World(Arc::new(world.clone()))
             },
+            expert_sees: Sees::of(&options),
             own: Proprioception::of(&options),
             has_state: options::observes_state(&options)
                 || !Proprioception::of(&options).is_wanted(),
@@ -219,7 +222,7 @@ impl Env {
             latency: 0,
             actuation: Actuation::none(),
             is_driven: false,
-            delayed: VecDeque::new(),
+            delayed: vec![],
             command: vec![0.0; action],
             taken: vec![],
             seen: Seen {
@@ -454,7 +457,7 @@ impl Env {
 
     /// Writes the scripted expert's action for the present state.
     pub fn expert(&self, action: &mut [f32]) {
-        self.task.expert(&self.world, action);
+        self.task.expert(&self.world, &self.expert_input(), action);
         for (number, element) in action.iter_mut().zip(&self.spec.action) {
             self.check_bounds("expert", *number, element);
             *number = number.clamp(-1.0, 1.0);
@@ -463,7 +466,18 @@ impl Env {
 
     /// What the scripted expert is about in the present state.
     pub fn stage(&self) -> Stage {
-        self.task.stage(&self.world)
+        self.task.stage(&self.world, &self.expert_input())
+    }
+
+    fn expert_input(&self) -> ExpertInput<'_> {
+        let position_error = match self.expert_sees {
+            Sees::Measured if self.noise.sigma > 0.0 => {
+                let mut rng = self.noise.rng.aside();
+                Vector3::from_fn(|_, _| self.noise.sigma * rng.normal())
+            }
+            _ => Vector3::zeros(),
+        };
+        ExpertInput { in_flight: &self.delayed, sees: self.expert_sees, position_error }
     }
 
     fn check(&self, action: &[f32]) -> Result<(), Rejection> {

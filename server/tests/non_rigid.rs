@@ -11,6 +11,7 @@ use trocar_server::render::{Lens, Renderer, Scene, Software};
 use trocar_server::sim::frames::{Aabb, Pose};
 use trocar_server::sim::random::Rng;
 use trocar_server::sim::world::{GRAVITY, Motion, NonRigid, Part, Shape, Solver, Surface, World};
+use trocar_server::tasks::expert::ExpertInput;
 use trocar_server::tasks::options;
 use trocar_server::{Env, Registry, Task};
 
@@ -163,7 +164,7 @@ impl Task for Falls {
         scene.look_at(&Aabb::new([-0.05, -0.02, 0.0], [0.05, 0.02, HEIGHT]));
     }
 
-    fn expert(&self, _: &World, action: &mut [f32]) {
+    fn expert(&self, _: &World, _: &ExpertInput<'_>, action: &mut [f32]) {
         action[0] = 0.0;
     }
 }

@@ -17,6 +17,7 @@ use trocar_server::sim::instrument::{CLEARANCE, JAW_CLOSED, TIP_OFFSET};
 use trocar_server::sim::random::Rng;
 use trocar_server::sim::world::{BodyId, Solver, World};
 use trocar_server::tasks::Arms;
+use trocar_server::tasks::expert::{ArmView, ExpertInput};
 use trocar_server::tasks::options::{self, Preset};
 use trocar_server::tasks::psm_scene::{PaperAction, PsmArm, Station, Turn};
 use trocar_server::{Registry, ServerConfig, StopSignal, Task, serve};
@@ -124,8 +125,10 @@ impl Task for PushCube {
         observation[PsmArm::OBSERVED..].copy_from_slice(achieved);
     }
 
-    fn expert(&self, world: &World, action: &mut [f32]) {
-        let (cube, tip) = (world.pose(self.cube).translation.vector, self.arm.tip());
+    fn expert(&self, world: &World, input: &ExpertInput<'_>, action: &mut [f32]) {
+        let [arm] = ArmView::of([&self.arm], world, input);
+        let tip = (arm.aim * Pose::translation(0.0, 0.0, TIP_OFFSET)).translation.vector;
+        let cube = input.pose(world, self.cube).translation.vector;
         let low = self.height - 0.006 + CLEARANCE;
         let behind = Vector3::new(cube.x - BEHIND, cube.y, low);
         let to_behind = behind - tip;
@@ -135,7 +138,7 @@ impl Task for PushCube {
         } else {
             to_behind
         };
-        self.arm.encode(&(Pose::from(way) * self.arm.scene_from_wrist()), JAW_CLOSED, action);
+        arm.act(&(Pose::from(way) * arm.aim), JAW_CLOSED, action);
     }
 }
 

@@ -5,6 +5,7 @@ use trocar_proto::spec::{Element, OptionSpec};
 
 use super::*;
 use crate::sim::world::Solver;
+use crate::tasks::expert::ExpertInput;
 use crate::tasks::{Registry, Task};
 
 /// A task whose observation leaves its range when the action is 0.75, and is no number when it is 1.
@@ -57,7 +58,7 @@ impl Task for Fragile {
         2.0 * self.0
     }
 
-    fn expert(&self, _: &World, action: &mut [f32]) {
+    fn expert(&self, _: &World, _: &ExpertInput<'_>, action: &mut [f32]) {
         action[0] = 7.0;
     }
 }

@@ -95,6 +95,7 @@ use trocar_proto::{Options, Rejection, TaskSpec};
 use super::Task;
 use super::camera::Cube;
 use super::ecm_scene::{CAMERA_ANGLE, EcmArm, RATE};
+use super::expert::{ExpertInput, Sees};
 use super::options::{self, Preset};
 use super::path::{self, LAP, Path};
 use super::track::{Layout, Tracker};
@@ -153,6 +154,7 @@ impl Task for ActiveTrack {
             options::observation_or_perceived(),
             options::preset(),
             RATE.option(10.0),
+            Sees::option(),
             options::domain_with(options::camera_rows(CAMERA_ANGLE)),
             options::setup(&Tracker::setup_rows()),
         ]
@@ -225,8 +227,8 @@ impl Task for ActiveTrack {
         self.tracker.draw(scene);
     }
 
-    fn expert(&self, _: &World, action: &mut [f32]) {
-        self.tracker.expert(action);
+    fn expert(&self, _: &World, input: &ExpertInput<'_>, action: &mut [f32]) {
+        self.tracker.expert(input, action);
     }
 
     fn reward(&self, _: &World) -> f32 {
@@ -345,7 +347,7 @@ mod tests {
             for seed in 0..episodes {
                 let (mut task, mut world) = episode(&options, seed);
                 for step in 0..MAX_STEPS {
-                    task.expert(&world, &mut action);
+                    task.expert(&world, &ExpertInput::default(), &mut action);
                     time::step(&mut task, &mut world, Some(&action), RATE.substeps());
                     assert!(
                         !task.terminated(&world),

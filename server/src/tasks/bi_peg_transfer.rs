@@ -113,6 +113,7 @@ use trocar_proto::spec::OptionSpec;
 use trocar_proto::{Options, Rejection, Stage, TaskSpec};
 
 use super::bimanual::{self, HandOver, Phase, Waypoint};
+use super::expert::{ArmView, ExpertInput};
 use super::objects;
 use super::options::{self, Preset};
 use super::peg_board::{Block, Layout, PegBoard};
@@ -148,6 +149,9 @@ const WELD_LIFT: f64 = 0.01;
 /// How far above the grasp PSM1 opens its jaws, m. Source: the original.
 const HOVER: f64 = 0.01;
 
+/// How far a block may sink below the pegs' tops while it is handed over, beside them, m.
+const SINKING: f64 = 5e-3;
+
 /// Distance from the midline at which PSM1 waits, m.
 const WAITING: f64 = 0.025;
 
@@ -159,8 +163,8 @@ pub struct BiPegTransfer {
     grasp: Grasp,
     /// Whether jaws have the block when they close near it (`grasp = "approx"`).
     by_nearness: bool,
-    /// For how many steps both arms have held the block.
-    together: u32,
+    /// For how long, s, both arms have held the block.
+    together: f64,
     start: Start,
     preset: Preset,
     reward: Reward,
@@ -196,7 +200,7 @@ impl Task for BiPegTransfer {
             board,
             grasp,
             by_nearness: matches!(mode, GraspMode::Approx { .. }),
-            together: 0,
+            together: 0.0,
             start: Start::of(options),
             preset,
             reward: options::reward_of(options),
@@ -279,13 +283,14 @@ impl Task for BiPegTransfer {
         self.arms.iter().for_each(|arm| arm.draw(world, scene));
     }
 
-    fn expert(&self, world: &World, action: &mut [f32]) {
-        let [one, two] = &self.arms;
-        bimanual::act([one, two], &self.plan(world).1, action);
+    fn expert(&self, world: &World, input: &ExpertInput<'_>, action: &mut [f32]) {
+        let views = ArmView::of(self.arms.each_ref(), world, input);
+        bimanual::act(&views, &self.plan(&views, world, input).1, action);
     }
 
-    fn stage(&self, world: &World) -> Stage {
-        self.plan(world).0
+    fn stage(&self, world: &World, input: &ExpertInput<'_>) -> Stage {
+        let views = ArmView::of(self.arms.each_ref(), world, input);
+        self.plan(&views, world, input).0
     }
 }
 
@@ -294,7 +299,7 @@ impl BiPegTransfer {
     fn begin(&mut self, world: &mut World, rng: &mut Rng) {
         self.layout = self.board.lay_out(world, rng);
         self.grasp.reset(world, self.layout.block.body());
-        self.together = 0;
+        self.together = 0.0;
         for arm in &mut self.arms {
             arm.reset(world, rng);
         }
@@ -312,63 +317,71 @@ impl BiPegTransfer {
     }
 
     /// What is done now, and what both arms do for it.
-    fn plan(&self, world: &World) -> (Stage, [Waypoint; 2]) {
-        let [one, two] = &self.arms;
+    fn plan(
+        &self,
+        [one, two]: &[ArmView; 2],
+        world: &World,
+        input: &ExpertInput<'_>,
+    ) -> (Stage, [Waypoint; 2]) {
         let Layout { block, target } = self.layout;
-        let up = peg_expert::way_over_pegs(block, &world.pose(block.body()));
-        let is_low = up > 0.5 * peg_expert::PASS;
-        let hand_over = self.hand_over(world);
-        match hand_over.phase(two, one, world) {
+        let pose = input.pose(world, block.body());
+        let up = peg_expert::way_over_pegs(block, &pose);
+        let hand_over = self.hand_over(one, two, &pose);
+        // Once the other arm has come, what keeps clear of the pegs is high enough.
+        let least = if hand_over.is_near(one) { -SINKING } else { 0.5 * peg_expert::PASS };
+        let is_low = up > peg_expert::PASS - least;
+        match hand_over.phase(two, one, world, input) {
             Phase::Under(_) if is_low => {
                 let lifting = bimanual::carried(two, Vector3::z() * up);
-                (Stage::Lift, [self.waiting(), lifting])
+                (Stage::Lift, [self.waiting(one), lifting])
             }
-            Phase::Under([giver, taker]) => (hand_over.giving(two, one, world), [taker, giver]),
+            Phase::Under([giver, taker]) => {
+                (hand_over.giving(two, one, world, input), [taker, giver])
+            }
             Phase::Over { giver, clear: false } => {
                 (Stage::HandOver, [bimanual::staying(one), giver])
             }
             Phase::Over { giver, clear: true } => {
-                let (stage, waypoint) = self.placing().plan(one, world);
+                let (stage, waypoint) = self.placing().plan(one, world, input);
                 (stage, [waypoint, giver])
             }
             Phase::Lost => {
-                let at = world.pose(block.body()).translation.vector;
-                if PegBoard::is_on(world, block, target) || at.y > two.reach().max.y {
-                    let (stage, waypoint) = self.placing().plan(one, world);
+                let [_, reach] = self.arms.each_ref().map(PsmArm::reach);
+                let is_on = PegBoard::is_on(world, block, target);
+                if is_on || pose.translation.y > reach.max.y {
+                    let (stage, waypoint) = self.placing().plan(one, world, input);
                     (stage, [waypoint, bimanual::staying(two)])
                 } else {
-                    let (stage, waypoint) = self.fetching().plan(two, world);
-                    (stage, [self.waiting(), waypoint])
+                    let (stage, waypoint) = self.fetching().plan(two, world, input);
+                    (stage, [self.waiting(one), waypoint])
                 }
             }
         }
     }
 
-    /// The hand-over over the midline, beside the target.
-    fn hand_over(&self, world: &World) -> HandOver {
-        let [one, two] = &self.arms;
+    /// The hand-over over the midline, beside the target, of a block at `pose`.
+    fn hand_over(&self, one: &ArmView, two: &ArmView, pose: &Pose) -> HandOver {
         let Layout { block, target } = self.layout;
-        let pose = world.pose(block.body());
-        let (giver, taker) = (two.scene_from_wrist(), one.scene_from_wrist());
-        let held = peg_expert::held_wall(block, &pose, giver);
-        let aside = |wall: &usize| peg_expert::outwards(block, &pose, *wall).y;
+        let (giver, taker) = (&two.wrist, &one.wrist);
+        let held = peg_expert::held_wall(block, pose, giver);
+        let aside = |wall: &usize| peg_expert::outwards(block, pose, *wall).y;
         let taken = (0..Block::WALLS)
             .filter(|wall| *wall != held)
             .max_by(|a, b| aside(a).total_cmp(&aside(b)))
             .expect("a block has walls");
 
         // Both wrists are as far from the midline as each other.
-        let taking = peg_expert::grasp_in_air(block, &pose, taken, taker);
+        let taking = peg_expert::grasp_in_air(block, pose, taken, taker);
         let way = Vector3::new(
             PegBoard::peg(target).x - pose.translation.x,
             -0.5 * (giver.translation.y + taking.translation.y),
-            peg_expert::way_over_pegs(block, &pose),
+            peg_expert::way_over_pegs(block, pose),
         );
         let offered = Pose::from(way) * pose;
         HandOver {
             object: block.body(),
             offer: Pose::from(way) * giver,
-            take: peg_expert::grasp_in_air(block, &offered, taken, taker),
+            take: [peg_expert::grasp_in_air(block, &offered, taken, taker), taking],
             together: self.together,
             hover: HOVER,
             by_nearness: self.by_nearness,
@@ -376,12 +389,11 @@ impl BiPegTransfer {
     }
 
     /// Where PSM1 waits while PSM2 fetches the block: beside the target, clear of PSM2.
-    fn waiting(&self) -> Waypoint {
-        let [one, _] = &self.arms;
-        let mut wrist = *one.scene_from_wrist();
+    fn waiting(&self, one: &ArmView) -> Waypoint {
+        let mut wrist = one.aim;
         wrist.translation.x = PegBoard::peg(self.layout.target).x;
         wrist.translation.y = WAITING;
-        wrist.translation.z = one.reach().max.z;
+        wrist.translation.z = one.arm().reach().max.z;
         (wrist, JAW_OPEN)
     }
 }

@@ -5,12 +5,12 @@ use nalgebra::{Point3, Vector3};
 use trocar_proto::Stage;
 use trocar_proto::spec::Element;
 
+use super::expert::{ArmView, ExpertInput};
 use super::objects::{self, THEATRE};
 use super::options::{self, Preset};
-use super::pick::step_towards;
 use super::psm_scene::PsmArm;
 use crate::sim::frames::{self, Aabb, Pose};
-use crate::sim::instrument::{JAW_CLOSED, JAW_OPEN};
+use crate::sim::instrument::{JAW_CLOSED, JAW_OPEN, TIP_OFFSET};
 use crate::sim::world::{BodyId, World};
 
 /// How far outside of the two workspaces together an arm may be dragged by the other, m: arms yield to an object
@@ -85,22 +85,24 @@ pub fn observe(
     }
 }
 
-/// How exactly an arm is where it shall be, m and rad.
-const ALIGNED: f64 = 0.3e-3;
-const TURNED: f64 = 0.02;
+/// How near an arm is to where it offers an object before the other comes, and for as long as that goes on, m and rad.
+const OFFERED: [f64; 2] = [3e-3, 0.05];
+const STILL_OFFERED: [f64; 2] = [10e-3, 0.25];
 
-/// How far an object may move jaws that close on it before they open again, m.
-const SHIFTED: f64 = 1.5e-3;
+/// How far off the taking arm may be before it comes, on its way, and when its jaws close, m: along their hinge and across
+/// it; and how far turned, rad.
+const ALIGNED: [f64; 2] = [2e-3, 1.5e-3];
+const COMING: [f64; 2] = [3e-3, 2.5e-3];
+const CLOSING: [f64; 2] = [3e-3, 2e-3];
+const TURNED: f64 = 0.1;
 
-/// Jaws open at least this far go to their grasp, rad.
-const OPEN: f64 = 0.9 * JAW_OPEN;
+/// How far short of its grasp the taking arm may be when its jaws close, and how far off while they do, m.
+const SHORT: f64 = 0.7e-3;
+const NEAR: f64 = 4e-3;
 
-/// Jaws that closed to less than this hold nothing, rad.
-const EMPTY: f64 = 0.02;
-
-/// For how many steps both arms hold an object before the giving one opens its jaws: until the taking
+/// For how long both arms hold an object before the giving one opens its jaws, s: until the taking
 /// one's have closed and what they moved is at rest.
-const GRIPPED: u32 = 2;
+const GRIPPED: f64 = 0.4;
 
 /// Distance of an open jaw's tip from the object at which the arm is clear of it, m.
 const CLEAR: f64 = 0.003;
@@ -118,10 +120,10 @@ pub struct HandOver {
     pub object: BodyId,
     /// The giving arm's wrist where it offers the object.
     pub offer: Pose,
-    /// The taking arm's wrist that grasps the object which is offered; it comes along its jaws.
-    pub take: Pose,
-    /// For how many steps both have held the object: see [`holding_together`].
-    pub together: u32,
+    /// The taking arm's wrist that grasps the object when it is offered, and where the object is; it comes along its jaws.
+    pub take: [Pose; 2],
+    /// For how long both have held the object, s: see [`holding_together`].
+    pub together: f64,
     /// How far before its grasp the taking arm opens its jaws, m.
     pub hover: f64,
     /// Whether closed jaws near the object have it as soon as the other arm lets go, whatever they
@@ -147,92 +149,122 @@ pub enum Phase {
 
 impl HandOver {
     /// What `giver` and `taker` are to do now.
-    pub fn phase(&self, giver: &PsmArm, taker: &PsmArm, world: &World) -> Phase {
-        let given = giver.holds(world, self.object);
-        let taken = taker.holds(world, self.object)
-            || self.by_nearness && given && self.has_closed(taker, world);
-        let [giver_wrist, taker_wrist] = [giver, taker].map(|arm| *arm.scene_from_wrist());
+    pub fn phase(
+        &self,
+        giver: &ArmView,
+        taker: &ArmView,
+        world: &World,
+        input: &ExpertInput<'_>,
+    ) -> Phase {
+        let given = giver.has(world, self.object, input);
+        let taken = taker.has(world, self.object, input)
+            || self.by_nearness && given && self.has_closed(taker);
         match (given, taken) {
             (false, false) => Phase::Lost,
             (true, false) => {
-                let offered = is_at(&giver_wrist, &self.offer);
-                let offer = if offered { giver_wrist } else { self.offer };
-                Phase::Under([(offer, JAW_CLOSED), self.taking(taker, world, offered)])
+                let offered = self.is_offered(giver, taker);
+                Phase::Under([(self.offer, JAW_CLOSED), self.taking(taker, offered)])
             }
             (true, true) => {
-                let safe = self.by_nearness || self.together >= GRIPPED;
+                let safe = self.by_nearness || self.together >= GRIPPED - ROUNDING;
                 let giver_jaw = if safe { JAW_OPEN } else { JAW_CLOSED };
-                Phase::Under([(giver_wrist, giver_jaw), (taker_wrist, JAW_CLOSED)])
+                Phase::Under([(giver.aim, giver_jaw), (taker.aim, JAW_CLOSED)])
             }
             (false, true) => {
-                let tip = Point3::from(giver.tip());
+                let tip = giver.wrist * Point3::new(0.0, 0.0, TIP_OFFSET);
                 let clear = world.distance(self.object, &tip) > CLEAR;
-                let back = if clear { 0.0 } else { -BACK };
-                let back = giver_wrist * Pose::translation(0.0, 0.0, back);
+                let back = if clear || !giver.is_open() { 0.0 } else { -BACK };
+                let back = giver.wrist * Pose::translation(0.0, 0.0, back);
                 Phase::Over { giver: (back, JAW_OPEN), clear }
             }
         }
     }
 
     /// What is done while the giver has the object.
-    pub fn giving(&self, giver: &PsmArm, taker: &PsmArm, world: &World) -> Stage {
-        let offered = is_at(giver.scene_from_wrist(), &self.offer);
-        if offered || taker.holds(world, self.object) { Stage::HandOver } else { Stage::Carry }
+    pub fn giving(
+        &self,
+        giver: &ArmView,
+        taker: &ArmView,
+        world: &World,
+        input: &ExpertInput<'_>,
+    ) -> Stage {
+        let is_taken = || taker.has(world, self.object, input);
+        if self.is_offered(giver, taker) || is_taken() { Stage::HandOver } else { Stage::Carry }
     }
 
-    fn taking(&self, taker: &PsmArm, world: &World, offered: bool) -> Waypoint {
-        let hover = self.take * Pose::translation(0.0, 0.0, -self.hover);
-        let opening = taker.opening(world);
-        let off = self.take.inv_mul(taker.scene_from_wrist());
-        let turned = off.rotation.angle();
-        let aside = off.translation.vector.xy().norm();
-        let (aligned, short) = (aside < ALIGNED && turned < TURNED, -off.translation.z);
-        let there = aligned && short.abs() < ALIGNED;
-        let closing = opening < OPEN && aside.max(short.abs()) < SHIFTED && turned < 2.0 * TURNED;
-        if !offered || opening < EMPTY {
+    /// Whether the object is where the taker may come for it; where it is about to take it, that may be farther off.
+    fn is_offered(&self, giver: &ArmView, taker: &ArmView) -> bool {
+        let most = if self.is_near(taker) { STILL_OFFERED } else { OFFERED };
+        let off = distance(&giver.wrist, &self.offer);
+        off[0] < most[0] && off[1] < most[1]
+    }
+
+    /// Whether the taker is about to take the object.
+    pub fn is_near(&self, taker: &ArmView) -> bool {
+        distance(&taker.wrist, &self.take[1])[0] < self.hover + NEAR
+    }
+
+    fn taking(&self, taker: &ArmView, offered: bool) -> Waypoint {
+        let take = self.take[usize::from(offered)];
+        let hover = take * Pose::translation(0.0, 0.0, -self.hover);
+        let off = take.inv_mul(&taker.aim);
+        let is_within = |[along, across]: [f64; 2]| {
+            let aside = off.translation.vector.map(f64::abs);
+            aside.x < along && aside.y < across && off.rotation.angle() < TURNED
+        };
+        let short = -off.translation.z;
+        let is_closing =
+            taker.closes() && !taker.is_empty() && off.translation.vector.norm() < NEAR;
+        let comes = is_within(if short < 0.8 * self.hover { COMING } else { ALIGNED });
+        if !offered || !is_closing && (taker.closes() || !taker.is_open()) {
             (hover, JAW_OPEN)
-        } else if there || closing {
-            (*taker.scene_from_wrist(), JAW_CLOSED)
-        } else if aligned && opening > OPEN {
-            (self.take, JAW_OPEN)
+        } else if is_closing || is_within(CLOSING) && short < SHORT {
+            (take, JAW_CLOSED)
+        } else if comes && !taker.is_held_up() {
+            (take, JAW_OPEN)
         } else {
             (hover, JAW_OPEN)
         }
     }
 
-    fn has_closed(&self, taker: &PsmArm, world: &World) -> bool {
-        is_at(taker.scene_from_wrist(), &self.take) && taker.opening(world) < EMPTY
+    fn has_closed(&self, taker: &ArmView) -> bool {
+        let off = distance(&taker.wrist, &self.take[1]);
+        off[0] < NEAR && off[1] < 2.0 * TURNED && taker.is_empty()
     }
 }
 
-/// For how many steps both arms have held `object` after another one, if it was `before` until then.
-pub fn holding_together(arms: [&PsmArm; 2], world: &World, object: BodyId, before: u32) -> u32 {
-    if arms.iter().all(|arm| arm.holds(world, object)) { before + 1 } else { 0 }
+/// What counts as no time, s.
+const ROUNDING: f64 = 1e-9;
+
+/// For how long both arms have held `object` after another step, s, if it was `before` until then.
+pub fn holding_together(arms: [&PsmArm; 2], world: &World, object: BodyId, before: f64) -> f64 {
+    let hold = arms.iter().all(|arm| arm.holds(world, object));
+    if hold { before + arms[0].rate().seconds() } else { 0.0 }
 }
 
-/// Whether a wrist is where it shall be.
-fn is_at(wrist: &Pose, target: &Pose) -> bool {
+/// How far a wrist is from where it shall be, m, and turned, rad.
+fn distance(wrist: &Pose, target: &Pose) -> [f64; 2] {
     let off = target.inv_mul(wrist);
-    off.translation.vector.norm() < ALIGNED && off.rotation.angle() < TURNED
+    [off.translation.vector.norm(), off.rotation.angle()]
 }
 
 /// Writes the action with which both arms go towards their waypoints.
-pub fn act(arms: [&PsmArm; 2], waypoints: &[Waypoint; 2], action: &mut [f32]) {
+pub fn act(arms: &[ArmView; 2], waypoints: &[Waypoint; 2], action: &mut [f32]) {
     let count = action.len() / arms.len();
     let parts = action.chunks_exact_mut(count);
-    for ((arm, (target, jaw)), part) in arms.into_iter().zip(waypoints).zip(parts) {
-        arm.encode(&step_towards(arm, target), *jaw, part);
+    for ((arm, (target, jaw)), part) in arms.iter().zip(waypoints).zip(parts) {
+        arm.act(target, *jaw, part);
     }
 }
 
 /// A wrist moved by `way` (m), jaws closed.
-pub fn carried(arm: &PsmArm, way: Vector3<f64>) -> Waypoint {
-    (Pose::from(way) * arm.scene_from_wrist(), JAW_CLOSED)
+pub fn carried(arm: &ArmView, way: Vector3<f64>) -> Waypoint {
+    (Pose::from(way) * arm.wrist, JAW_CLOSED)
 }
 
-/// Where an arm is, with its jaws closed.
-pub fn staying(arm: &PsmArm) -> Waypoint {
-    carried(arm, Vector3::zeros())
+/// Where an arm is asked to be, with its jaws closed.
+pub fn staying(arm: &ArmView) -> Waypoint {
+    (arm.aim, JAW_CLOSED)
 }
 
 #[cfg(test)]
@@ -273,7 +305,7 @@ pub(super) mod tests {
     /// Lets a step pass as the expert wants it.
     pub(in crate::tasks) fn act_as_expert<T: Watched>(task: &mut T, world: &mut World) {
         let mut action = [0.0; 10];
-        Task::expert(task, world, &mut action);
+        Task::expert(task, world, &ExpertInput::default(), &mut action);
         act(task, world, &action);
     }
 

@@ -78,6 +78,7 @@ use trocar_proto::{Options, Rejection, TaskSpec};
 
 use super::Task;
 use super::ecm_scene::{Control, EcmArm, RATE, STEP_LENGTH};
+use super::expert::{ExpertInput, Sees};
 use super::options::{self, Preset};
 use crate::render::Scene;
 use crate::sim::frames::Aabb;
@@ -122,6 +123,7 @@ impl Task for EcmReach {
             options::observation(),
             options::preset(),
             RATE.option(5.0),
+            Sees::option(),
             options::domain_with([camera_position]),
             options::setup(&EcmArm::setup_rows()),
         ]
@@ -199,12 +201,13 @@ impl Task for EcmReach {
         scene.add_goal(&self.goal, GOAL_RADIUS);
     }
 
-    fn expert(&self, _: &World, action: &mut [f32]) {
-        let camera = self.arm.world_from_camera().translation.vector;
-        let length = STEP_LENGTH * self.arm.rate().scale();
-        let error = self.arm.in_rcm(&(self.goal - camera)) / length;
+    fn expert(&self, _: &World, input: &ExpertInput<'_>, action: &mut [f32]) {
+        let arm = self.arm.ahead(input.in_flight);
+        let camera = arm.seen_camera(input.sees).translation.vector;
+        let length = STEP_LENGTH * arm.rate().scale();
+        let error = arm.in_rcm(&(self.goal - camera)) / length;
         let step = error * (EXPERT_SPEED * length / error.amax().max(1.0));
-        self.arm.encode(&step, 0.0, action);
+        arm.encode(&step, 0.0, action);
     }
 }
 

@@ -43,6 +43,7 @@ use trocar_proto::spec::{Element, RowSpec};
 use trocar_proto::{Options, Rejection};
 
 use super::camera;
+use super::expert::Sees;
 use super::options::{self, ActionMode, Domain, Preset};
 use super::rate::Rate;
 use super::theatre;
@@ -239,6 +240,19 @@ impl EcmArm {
         self.camera_with(&joints)
     }
 
+    /// The camera as an expert sees it, world frame.
+    pub fn seen_camera(&self, sees: Sees) -> Pose {
+        match sees {
+            Sees::Truth => self.world_from_camera(),
+            Sees::Measured => self.world_from_nominal * self.rcm_from_camera,
+        }
+    }
+
+    /// The misorientation as an expert sees it, rad.
+    pub fn seen_misorientation(&self, sees: Sees) -> f64 {
+        camera::misorientation(&self.world_from_reference, &self.seen_camera(sees))
+    }
+
     /// Draws the arm as it truly is, as `ecm`, over a floor with a pattern of tiles; its camera is the
     /// endoscope.
     pub fn draw(&self, scene: &mut Scene) {
@@ -288,6 +302,18 @@ impl EcmArm {
             self.joints = joints;
             self.rcm_from_camera = self.sensed(&self.joints);
         }
+    }
+
+    /// The arm once actions that are on their way have been carried out, as its expert foresees it.
+    #[must_use]
+    pub fn ahead(&self, in_flight: &[f32]) -> Self {
+        let mut ahead = Self { disturbance: None, ..self.clone() };
+        ahead.glide(1.0);
+        for action in in_flight.chunks(self.action_elements().len()) {
+            ahead.command(Some(action));
+            ahead.glide(1.0);
+        }
+        ahead
     }
 
     /// The action that moves the sensed camera by `step` (m, RCM frame) and the roll joint by

@@ -101,6 +101,7 @@ use trocar_proto::goal::Reward;
 use trocar_proto::spec::OptionSpec;
 use trocar_proto::{Options, Rejection, Stage, TaskSpec};
 
+use super::expert::{ArmView, ExpertInput};
 use super::gauze::{self, Gauze};
 use super::objects;
 use super::options::{self, Preset};
@@ -197,7 +198,7 @@ impl Task for GauzeRetrieve {
 
     fn prepare(&mut self, world: &mut World, rng: &mut Rng) {
         start::bring_about(self, world, rng, Self::begin, |task, world| {
-            task.pick(world).progress(&task.arm, world) >= task.start
+            task.pick(world, &ExpertInput::default()).progress(&task.arm, world) >= task.start
         });
     }
 
@@ -246,12 +247,14 @@ impl Task for GauzeRetrieve {
         scene.add_goal(&self.goal, theatre::GOAL_RADIUS);
     }
 
-    fn expert(&self, world: &World, action: &mut [f32]) {
-        self.pick(world).act(&self.arm, world, action);
+    fn expert(&self, world: &World, input: &ExpertInput<'_>, action: &mut [f32]) {
+        let [view] = ArmView::of([&self.arm], world, input);
+        self.pick(world, input).act(&view, world, input, action);
     }
 
-    fn stage(&self, world: &World) -> Stage {
-        self.pick(world).stage(&self.arm, world)
+    fn stage(&self, world: &World, input: &ExpertInput<'_>) -> Stage {
+        let [view] = ArmView::of([&self.arm], world, input);
+        self.pick(world, input).stage(&view, world, input)
     }
 }
 
@@ -277,8 +280,8 @@ impl GauzeRetrieve {
     }
 
     /// What is to be done now.
-    fn pick(&self, world: &World) -> Pick {
-        let gauze = world.pose(self.gauze.body());
+    fn pick(&self, world: &World, input: &ExpertInput<'_>) -> Pick {
+        let gauze = input.pose(world, self.gauze.body());
         let tip = gauze * Pose::translation(0.0, 0.0, self.gauze.sheet() + GRASP_CLEARANCE);
         let wrist = tip.translation.vector + Vector3::z() * TIP_OFFSET;
         let grasp = Pose::from_parts(wrist.into(), psm_scene::down());

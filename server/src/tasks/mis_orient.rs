@@ -88,6 +88,7 @@ use trocar_proto::{Options, Rejection, TaskSpec};
 
 use super::Task;
 use super::ecm_scene::{CAMERA_ANGLE, Control, EcmArm, RATE, STEP_ROLL, misorientation_element};
+use super::expert::{ExpertInput, Sees};
 use super::options;
 use crate::render::Scene;
 use crate::sim::random::Rng;
@@ -126,6 +127,7 @@ impl Task for MisOrient {
             options::observation(),
             options::preset(),
             RATE.option(5.0),
+            Sees::option(),
             options::domain_with(options::camera_rows(CAMERA_ANGLE)),
             options::setup(&EcmArm::setup_rows()),
         ]
@@ -202,10 +204,11 @@ impl Task for MisOrient {
         self.arm.draw(scene);
     }
 
-    fn expert(&self, _: &World, action: &mut [f32]) {
-        let most = STEP_ROLL * self.arm.rate().scale();
-        let turn = self.arm.misorientation().clamp(-most, most);
-        self.arm.encode(&Vector3::zeros(), turn, action);
+    fn expert(&self, _: &World, input: &ExpertInput<'_>, action: &mut [f32]) {
+        let arm = self.arm.ahead(input.in_flight);
+        let most = STEP_ROLL * arm.rate().scale();
+        let turn = arm.seen_misorientation(input.sees).clamp(-most, most);
+        arm.encode(&Vector3::zeros(), turn, action);
     }
 }
 
@@ -225,7 +228,7 @@ mod tests {
             let steps = (start.abs() / STEP_ROLL).ceil();
             farthest = farthest.max(steps);
             for _ in 0..steps as u32 {
-                task.expert(&world, &mut action);
+                task.expert(&world, &ExpertInput::default(), &mut action);
                 time::step(&mut task, &mut world, Some(&action), RATE.substeps());
             }
             let left = task.arm.misorientation();

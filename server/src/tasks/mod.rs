@@ -20,6 +20,7 @@ use trocar_proto::spec::OptionSpec;
 use trocar_proto::{Code, Options, Rejection, Stage, TaskSpec};
 
 use self::ecm_scene::EcmArm;
+use self::expert::ExpertInput;
 use self::proprioception::Proprioception;
 use self::psm_scene::PsmArm;
 use crate::env::{Env, Imaging};
@@ -35,6 +36,7 @@ pub mod bimanual;
 pub mod camera;
 pub mod ecm_reach;
 pub mod ecm_scene;
+pub mod expert;
 pub mod gauze;
 pub mod gauze_retrieve;
 pub mod mis_orient;
@@ -127,12 +129,13 @@ pub trait Task: Clone + Send + Sync + 'static {
         desired: &mut [f32],
     );
 
-    /// Writes what a scripted expert would do now.
-    fn expert(&self, world: &World, action: &mut [f32]);
+    /// Writes what a scripted expert would do now, numbers in [−1, 1]. Where actions are late, `input` has those
+    /// that arrive before this one.
+    fn expert(&self, world: &World, input: &ExpertInput<'_>, action: &mut [f32]);
 
     /// What that expert is about now; demonstrations are labelled with it.
-    fn stage(&self, world: &World) -> Stage {
-        let _ = world;
+    fn stage(&self, world: &World, input: &ExpertInput<'_>) -> Stage {
+        let _ = (world, input);
         Stage::Reach
     }
 
@@ -320,8 +323,8 @@ pub(crate) trait AnyTask: Send + Sync {
         achieved: &mut [f32],
         desired: &mut [f32],
     );
-    fn expert(&self, world: &World, action: &mut [f32]);
-    fn stage(&self, world: &World) -> Stage;
+    fn expert(&self, world: &World, input: &ExpertInput<'_>, action: &mut [f32]);
+    fn stage(&self, world: &World, input: &ExpertInput<'_>) -> Stage;
     fn scene(&self, world: &World, scene: &mut Scene);
     fn theatre(&self) -> Aabb;
     fn reward(&self, world: &World) -> f32;
@@ -376,12 +379,12 @@ impl<T: Task> AnyTask for T {
         Task::observe(self, world, observation, achieved, desired);
     }
 
-    fn expert(&self, world: &World, action: &mut [f32]) {
-        Task::expert(self, world, action);
+    fn expert(&self, world: &World, input: &ExpertInput<'_>, action: &mut [f32]) {
+        Task::expert(self, world, input, action);
     }
 
-    fn stage(&self, world: &World) -> Stage {
-        Task::stage(self, world)
+    fn stage(&self, world: &World, input: &ExpertInput<'_>) -> Stage {
+        Task::stage(self, world, input)
     }
 
     fn scene(&self, world: &World, scene: &mut Scene) {

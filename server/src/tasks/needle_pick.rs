@@ -99,6 +99,7 @@ use trocar_proto::goal::Reward;
 use trocar_proto::spec::OptionSpec;
 use trocar_proto::{Options, Rejection, Stage, TaskSpec};
 
+use super::expert::{ArmView, ExpertInput};
 use super::objects;
 use super::options::{self, Preset};
 use super::pick::{self, Pick};
@@ -196,7 +197,9 @@ impl Task for NeedlePick {
 
     fn prepare(&mut self, world: &mut World, rng: &mut Rng) {
         start::bring_about(self, world, rng, Self::begin, |task, world| {
-            task.pick(world).progress(&task.arm, world) >= task.start
+            let wrist = task.arm.scene_from_wrist();
+            task.pick(world, wrist, &ExpertInput::default()).progress(&task.arm, world)
+                >= task.start
         });
     }
 
@@ -246,12 +249,14 @@ impl Task for NeedlePick {
         scene.add_goal(&self.goal, theatre::GOAL_RADIUS);
     }
 
-    fn expert(&self, world: &World, action: &mut [f32]) {
-        self.pick(world).act(&self.arm, world, action);
+    fn expert(&self, world: &World, input: &ExpertInput<'_>, action: &mut [f32]) {
+        let [view] = ArmView::of([&self.arm], world, input);
+        self.pick(world, &view.aim, input).act(&view, world, input, action);
     }
 
-    fn stage(&self, world: &World) -> Stage {
-        self.pick(world).stage(&self.arm, world)
+    fn stage(&self, world: &World, input: &ExpertInput<'_>) -> Stage {
+        let [view] = ArmView::of([&self.arm], world, input);
+        self.pick(world, &view.aim, input).stage(&view, world, input)
     }
 }
 
@@ -276,14 +281,79 @@ impl NeedlePick {
         }
     }
 
-    /// What is to be done now.
-    fn pick(&self, world: &World) -> Pick {
-        let middle = self.needle.scene_from_middle(world);
+    /// What is to be done now by an arm with its wrist at `wrist`.
+    fn pick(&self, world: &World, wrist: &Pose, input: &ExpertInput<'_>) -> Pick {
+        let middle = Pose::from(input.position_error) * self.needle.scene_from_middle(world);
         let carried = middle.translation.vector;
         let wire = middle.rotation * Vector3::y();
-        let wrist = carried + Vector3::z() * (TIP_OFFSET - GRASP_DEPTH * self.needle.form().size());
-        let rotation = pick::jaws_across(&wire, self.arm.scene_from_wrist());
-        let grasp = Pose::from_parts(wrist.into(), rotation);
+        let at = carried + Vector3::z() * (TIP_OFFSET - GRASP_DEPTH * self.needle.form().size());
+        let rotation = pick::jaws_across(&wire, wrist);
+        let grasp = Pose::from_parts(at.into(), rotation);
         Pick { object: self.needle.body(), grasp, carried, goal: self.goal }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::tasks::{rate, time};
+
+    /// Lets the expert work for `steps` steps on what it is told.
+    fn work(task: &mut NeedlePick, world: &mut World, input: &ExpertInput<'_>, steps: u32) {
+        let spec = Task::spec(task);
+        let mut action = vec![0.0; spec.action_dim()];
+        for _ in 0..steps {
+            Task::expert(task, world, input, &mut action);
+            time::step(task, world, Some(&action), rate::substeps(spec.seconds_per_step));
+        }
+    }
+
+    fn episode(seed: u64) -> (NeedlePick, World) {
+        let options = Options::new().resolve(&NeedlePick::options()).unwrap();
+        let (mut task, mut world) = NeedlePick::new(&options).unwrap();
+        Task::reset(&mut task, &mut world, &mut Rng::new(seed, 0));
+        (task, world)
+    }
+
+    fn is_there(task: &NeedlePick, world: &World) -> bool {
+        let middle = task.needle.scene_from_middle(world).translation.vector;
+        (middle - task.goal).norm() < objects::TOLERANCE
+    }
+
+    #[test]
+    fn the_height_of_a_grasp_is_found_by_touch() {
+        for off in [-1e-3, 1e-3] {
+            let input =
+                ExpertInput { position_error: Vector3::z() * off, ..ExpertInput::default() };
+            for seed in 0..4 {
+                let (mut task, mut world) = episode(seed);
+                work(&mut task, &mut world, &input, MAX_STEPS);
+                assert!(is_there(&task, &world), "{seed}, {off} m too high");
+            }
+        }
+    }
+
+    #[test]
+    fn a_needle_that_slipped_away_is_picked_up_again() {
+        let input = ExpertInput::default();
+        for seed in 0..4 {
+            let (mut task, mut world) = episode(seed);
+            let mut taken = 0;
+            while taken == 0 || !task.arm.holds(&world, task.needle.body()) {
+                work(&mut task, &mut world, &input, 1);
+                taken += 1;
+                assert!(taken < MAX_STEPS);
+            }
+            // Out of the jaws, and a little farther.
+            let lying = world.pose(task.needle.body());
+            task.needle.lay_near_the_middle(&mut world, &mut Rng::new(seed, 1));
+            assert!(
+                (world.pose(task.needle.body()).translation.vector - lying.translation.vector)
+                    .norm()
+                    > 1e-3
+            );
+            work(&mut task, &mut world, &input, MAX_STEPS - 10);
+            assert!(is_there(&task, &world), "{seed}");
+        }
     }
 }

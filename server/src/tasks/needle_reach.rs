@@ -85,6 +85,7 @@ use trocar_proto::goal::SuccessRule;
 use trocar_proto::spec::{GoalSpec, OptionSpec};
 use trocar_proto::{Options, Rejection, TaskSpec};
 
+use super::expert::{ArmView, ExpertInput, Sees};
 use super::options::{self, Preset};
 use super::psm_scene::{
     MAX_STEPS, PaperAction, PsmArm, RATE, REACH, STEP_LENGTH, Station, Turn, WORKSPACE,
@@ -131,6 +132,7 @@ impl Task for NeedleReach {
             options::preset(),
             options::spawn(),
             RATE.option(5.0),
+            Sees::option(),
             options::domain_with(options::object_rows(Needle::SIZE)),
             options::setup(&PsmArm::setup_rows(1)),
         ]
@@ -222,15 +224,16 @@ impl Task for NeedleReach {
         scene.add_goal(&self.goal, theatre::GOAL_RADIUS);
     }
 
-    fn expert(&self, _: &World, action: &mut [f32]) {
-        let error = self.goal - self.arm.tip();
+    fn expert(&self, world: &World, input: &ExpertInput<'_>, action: &mut [f32]) {
+        let [view] = ArmView::of([&self.arm], world, input);
+        let tip = (view.aim * Pose::translation(0.0, 0.0, TIP_OFFSET)).translation.vector;
+        let error = self.goal - tip;
         let step = if error.norm() < EXPERT_TOLERANCE {
             Vector3::zeros()
         } else {
             error * (EXPERT_SPEED * STEP_LENGTH * self.arm.rate().scale() / error.amax())
         };
-        let target = Pose::from(step) * self.arm.scene_from_wrist();
-        self.arm.encode(&target, JAW_CLOSED, action);
+        view.act(&(Pose::from(step) * view.aim), JAW_CLOSED, action);
     }
 }
 

@@ -115,6 +115,7 @@ use trocar_proto::spec::OptionSpec;
 use trocar_proto::{Options, Rejection, Stage, TaskSpec};
 
 use super::bimanual::{self, HandOver, Phase, Waypoint};
+use super::expert::{ArmView, ExpertInput};
 use super::objects;
 use super::options::{self, Preset};
 use super::psm_scene::{
@@ -187,8 +188,8 @@ pub struct NeedleRegrasp {
     grasp: Grasp,
     /// Whether jaws have the needle when they close near it (`grasp = "approx"`).
     by_nearness: bool,
-    /// For how many steps both arms have held the needle.
-    together: u32,
+    /// For how long, s, both arms have held the needle.
+    together: f64,
     preset: Preset,
     reward: Reward,
     goal: Vector3<f64>,
@@ -221,7 +222,7 @@ impl Task for NeedleRegrasp {
             needle,
             grasp,
             by_nearness: matches!(mode, GraspMode::Approx { .. }),
-            together: 0,
+            together: 0.0,
             preset,
             reward: options::reward_of(options),
             goal: Vector3::zeros(),
@@ -305,13 +306,14 @@ impl Task for NeedleRegrasp {
         scene.add_goal(&self.goal, theatre::GOAL_RADIUS);
     }
 
-    fn expert(&self, world: &World, action: &mut [f32]) {
-        let [one, two] = &self.arms;
-        bimanual::act([one, two], &self.plan(world).1, action);
+    fn expert(&self, world: &World, input: &ExpertInput<'_>, action: &mut [f32]) {
+        let views = ArmView::of(self.arms.each_ref(), world, input);
+        bimanual::act(&views, &self.plan(&views, world, input).1, action);
     }
 
-    fn stage(&self, world: &World) -> Stage {
-        self.plan(world).0
+    fn stage(&self, world: &World, input: &ExpertInput<'_>) -> Stage {
+        let views = ArmView::of(self.arms.each_ref(), world, input);
+        self.plan(&views, world, input).0
     }
 }
 
@@ -369,29 +371,33 @@ impl NeedleRegrasp {
         let mut action = vec![0.0; Task::spec(self).action_dim()];
         let rate = self.arms[0].rate();
         for _ in 0..rate.steps(steps) {
-            let [one, two] = &self.arms;
-            let staying = [bimanual::staying(one), bimanual::staying(two)];
-            bimanual::act([one, two], &staying, &mut action);
+            let views = ArmView::of(self.arms.each_ref(), world, &ExpertInput::default());
+            bimanual::act(&views, &views.each_ref().map(bimanual::staying), &mut action);
             time::step(self, world, Some(&action), rate.substeps());
         }
     }
 
     /// What is done now, and what both arms do for it.
-    fn plan(&self, world: &World) -> (Stage, [Waypoint; 2]) {
-        let [one, two] = &self.arms;
-        let [point, swage] = self.places(world);
+    fn plan(
+        &self,
+        [one, two]: &[ArmView; 2],
+        world: &World,
+        input: &ExpertInput<'_>,
+    ) -> (Stage, [Waypoint; 2]) {
+        let places = self.places(world);
+        let [point, swage] = places.map(|place| Pose::from(input.position_error) * place);
         let levelled = levelling(&point.translation.vector, &swage.translation.vector);
         let hand_over = HandOver {
             object: self.needle.body(),
-            offer: levelled * one.scene_from_wrist(),
-            take: grasp_at(1, &(levelled * point)),
+            offer: levelled * one.wrist,
+            take: [levelled * point, point].map(|place| grasp_at(1, &place)),
             together: self.together,
             hover: HOVER,
             by_nearness: self.by_nearness,
         };
-        match hand_over.phase(one, two, world) {
+        match hand_over.phase(one, two, world, input) {
             Phase::Lost => (Stage::HandOver, [bimanual::staying(one), bimanual::staying(two)]),
-            Phase::Under(waypoints) => (hand_over.giving(one, two, world), waypoints),
+            Phase::Under(waypoints) => (hand_over.giving(one, two, world, input), waypoints),
             Phase::Over { giver, clear: false } => {
                 (Stage::HandOver, [giver, bimanual::staying(two)])
             }

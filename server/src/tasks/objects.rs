@@ -4,6 +4,7 @@ use nalgebra::Vector3;
 use trocar_proto::goal::SuccessRule;
 use trocar_proto::spec::{Element, GoalSpec, OptionSpec};
 
+use super::expert::Sees;
 use super::options::{self, Preset, Variation};
 use super::psm_scene::{PsmArm, RATE, REACH, WORKSPACE};
 use crate::assets::{Model, Scaled};
@@ -79,6 +80,7 @@ pub fn options(
         options::observation(),
         options::preset(),
         RATE.option(5.0),
+        Sees::option(),
     ];
     specs.extend(own);
     let rows = std::iter::once(options::friction_row()).chain(options::object_rows(size));

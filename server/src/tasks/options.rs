@@ -74,6 +74,13 @@ pub enum ActionMode {
     Joint,
 }
 
+impl ActionMode {
+    /// Numbers of an action of a PSM.
+    pub fn psm_numbers(self) -> usize {
+        if self == Self::Paper { 5 } else { 7 }
+    }
+}
+
 /// `action`: what the numbers of an action mean.
 pub fn action() -> OptionSpec {
     OptionSpec::choice(

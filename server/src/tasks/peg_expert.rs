@@ -7,8 +7,9 @@
 use nalgebra::Vector3;
 use trocar_proto::Stage;
 
+use super::expert::{ArmView, ExpertInput};
 use super::peg_board::{Block, PegBoard};
-use super::pick::{jaws_across, step_towards};
+use super::pick::jaws_across;
 use super::psm_scene::PsmArm;
 use super::start::Start;
 use crate::sim::frames::Pose;
@@ -21,12 +22,26 @@ const DEPTH: f64 = 3.5e-3;
 /// How high what is carried, and an empty jaw, pass over the pegs, m.
 pub(super) const PASS: f64 = 2e-3;
 
-/// How exactly the wrist is above the grasp before it goes down, m and rad.
-const ALIGNED: f64 = 0.4e-3;
-const TURNED: f64 = 0.03;
+/// How deep in the block the fingers must have room when they come down, m: what is deeper pushes the block aside.
+const ENTRY: f64 = 2e-3;
 
-/// How low the wrist must be for the jaws to close, m above the grasp.
-const LOW: f64 = 0.3e-3;
+/// How far off the wrist may be when it goes down, on its way, and when the jaws close, m: across the wall and along it.
+const ALIGNED: [f64; 2] = [0.8e-3, 2e-3];
+const COMING: [f64; 2] = [1.5e-3, 3e-3];
+const ABOUT: [f64; 2] = [2e-3, 3e-3];
+
+/// How far the jaws may be turned from where they are to close, rad.
+const TURNED: f64 = 0.06;
+
+/// How low the wrist must be for the jaws to close, m above the grasp, and where it was held up.
+const LOW: f64 = 1e-3;
+const LOW_ENOUGH: f64 = 2e-3;
+
+/// How far the wrist may be from the grasp while the jaws close, m.
+const CLOSING: f64 = 4e-3;
+
+/// How far a wrist goes up that was held up on its way down, m.
+const BACK: f64 = 3e-3;
 
 /// Room that may be missing beside a wall for a radian less to turn, m.
 const TIGHT: f64 = 0.1e-3;
@@ -37,21 +52,25 @@ const WELL_ASIDE: f64 = 0.5;
 /// Part of it that may be missing for a radian less to turn.
 const AWKWARD: f64 = 0.1;
 
-/// Jaws open at least this far go down, or leave, rad.
+/// Jaws open at least this far are about a wall, and how exactly, rad and m.
 const OPEN: f64 = 0.9 * JAW_OPEN;
+const EXACTLY: f64 = 0.4e-3;
 
 /// How far the peg is from the block's axis when the block is let down, m, away from the wall that
 /// is held: there the jaws have room to open.
-const OFF_AXIS: f64 = 2e-3;
+const OFF_AXIS: f64 = 1.5e-3;
 
 /// How exactly the block is over its target before it is let down, m.
-const OVER: f64 = 0.7e-3;
+const OVER: f64 = 1.5e-3;
 
 /// How far a block that is being let down may be off, m: more, and it is lifted again.
-const STILL_OVER: f64 = 2.5e-3;
+const STILL_OVER: f64 = 3e-3;
 
 /// Height over the board at which a block is let go, m.
-const LET_GO: f64 = 0.6e-3;
+const LET_GO: f64 = 1e-3;
+
+/// How far below the board a block is sent that is let down, m: the board stops it.
+const PRESS: f64 = 0.5e-3;
 
 /// A block that is to go to a target.
 #[derive(Debug, Clone, Copy)]
@@ -66,17 +85,6 @@ pub struct Transfer {
 }
 
 impl Transfer {
-    /// Writes what `arm` is to do now.
-    pub fn act(&self, arm: &PsmArm, world: &World, action: &mut [f32]) {
-        let (target, jaw) = self.waypoint(arm, world);
-        arm.encode(&step_towards(arm, &target), jaw, action);
-    }
-
-    /// What is done now.
-    pub fn stage(&self, arm: &PsmArm, world: &World) -> Stage {
-        self.plan(arm, world).0
-    }
-
     /// How far the work is done.
     pub fn progress(&self, arm: &PsmArm, world: &World) -> Start {
         let block = world.pose(self.block.body());
@@ -84,48 +92,48 @@ impl Transfer {
             let passes = bottom(self.block, &block) - peg_top();
             return if passes >= 0.5 * PASS { Start::Lift } else { Start::Pick };
         }
-        let (grasp, jaw) = self.pick(arm, world);
-        let is_there = distance(&grasp, arm.scene_from_wrist()) < ALIGNED;
-        let closes = jaw < 0.5 * JAW_OPEN;
-        if is_there && closes && arm.opening(world) > OPEN { Start::Approach } else { Start::Reset }
-    }
-
-    /// Where the wrist of `arm` goes now, and the angle of its jaws, rad.
-    pub fn waypoint(&self, arm: &PsmArm, world: &World) -> (Pose, f64) {
-        self.plan(arm, world).1
+        let wrist = arm.scene_from_wrist();
+        let (grasp, _) = self.grasp(&block, wrist);
+        let off = wrist.translation.vector - grasp.translation.vector;
+        let about = off.xy().norm() < EXACTLY && off.z < LOW && arm.opening(world) > OPEN;
+        if about { Start::Approach } else { Start::Reset }
     }
 
     /// What is done now: where the wrist goes for it, and the angle of the jaws, rad.
-    pub(super) fn plan(&self, arm: &PsmArm, world: &World) -> (Stage, (Pose, f64)) {
-        let wrist = arm.scene_from_wrist();
-        let by = |way: Vector3<f64>| Pose::from(way) * wrist;
-        let held = arm.holds(world, self.block.body());
-        let block = world.pose(self.block.body());
+    pub fn plan(
+        &self,
+        arm: &ArmView,
+        world: &World,
+        input: &ExpertInput<'_>,
+    ) -> (Stage, (Pose, f64)) {
+        let by = |way: Vector3<f64>| Pose::from(way) * arm.wrist;
+        let held = arm.has(world, self.block.body(), input);
+        let block = input.pose(world, self.block.body());
         let height = bottom(self.block, &block) - PegBoard::top();
         if PegBoard::is_on(world, self.block, self.target) && (height < LET_GO || !held) {
             // Open, then straight up and out of the way.
-            let up = if arm.opening(world) > OPEN { pass() - wrist.translation.z } else { 0.0 };
+            let up = if arm.is_open() { pass() - arm.wrist.translation.z } else { 0.0 };
             return (Stage::Place, (by(Vector3::z() * up.max(0.0)), JAW_OPEN));
         }
         if held {
-            let (stage, way) = self.carry(&block, wrist);
+            let (stage, way) = self.carry(arm, &block);
             return (stage, (by(way), JAW_CLOSED));
         }
-        let (target, jaw) = self.pick(arm, world);
-        let stage = if jaw == JAW_CLOSED { Stage::Pick } else { Stage::Approach };
-        (stage, (target, jaw))
+        self.pick(arm, &block)
     }
 
     /// What is done with a held block now, and the way on which it goes.
-    fn carry(&self, block: &Pose, wrist: &Pose) -> (Stage, Vector3<f64>) {
-        let goal = PegBoard::peg(self.target)
-            + outwards(self.block, block, held_wall(self.block, block, wrist)) * OFF_AXIS;
+    fn carry(&self, arm: &ArmView, block: &Pose) -> (Stage, Vector3<f64>) {
+        let held = held_wall(self.block, block, &arm.wrist);
+        let goal = PegBoard::peg(self.target) + outwards(self.block, block, held) * OFF_AXIS;
         let way = level(&(goal - block.translation.vector));
         let bottom = bottom(self.block, block);
         let passes = bottom - peg_top();
         let near = if passes < 0.0 { STILL_OVER } else { OVER };
-        if way.norm() < near {
-            (Stage::Place, way + Vector3::z() * (PegBoard::top() - bottom))
+        if way.norm() < near && arm.is_held_up() && passes < 0.0 {
+            (Stage::Place, way + Vector3::z() * BACK) // it came down on the peg
+        } else if way.norm() < near {
+            (Stage::Place, way + Vector3::z() * (PegBoard::top() - PRESS - bottom))
         } else if passes < 0.5 * PASS {
             (Stage::Lift, Vector3::z() * (PASS - passes))
         } else {
@@ -133,36 +141,50 @@ impl Transfer {
         }
     }
 
-    /// Where the wrist goes to grasp the block, and what the jaws do.
-    fn pick(&self, arm: &PsmArm, world: &World) -> (Pose, f64) {
-        let wrist = arm.scene_from_wrist();
-        let block = world.pose(self.block.body());
-        let (grasp, _) = (0..Block::WALLS)
+    /// The wrist that grasps the block best for an arm with its wrist at `wrist`, and the wall.
+    fn grasp(&self, block: &Pose, wrist: &Pose) -> (Pose, usize) {
+        let (grasp, _, wall) = (0..Block::WALLS)
             .map(|wall| {
-                let (pose, missing) = grasp(self.block, &block, wall, wrist);
-                let aside = self.side * outwards(self.block, &block, wall).y;
+                let (pose, missing) = grasp(self.block, block, wall, wrist);
+                let aside = self.side * outwards(self.block, block, wall).y;
                 let awkward = (self.side.abs() * WELL_ASIDE - aside).max(0.0) / AWKWARD;
-                (pose, turn(&pose, wrist) + missing / TIGHT + awkward)
+                (pose, turn(&pose, wrist) + missing / TIGHT + awkward, wall)
             })
-            .min_by(|(_, a), (_, b)| a.total_cmp(b))
+            .min_by(|(_, a, _), (_, b, _)| a.total_cmp(b))
             .expect("a block has walls");
-        let off = wrist.translation.vector - grasp.translation.vector;
-        let aligned = off.xy().norm() < ALIGNED && turn(&grasp, wrist) < TURNED;
-        if aligned && off.z < LOW {
-            return (grasp, JAW_CLOSED);
-        }
-        if aligned && arm.opening(world) > OPEN {
-            return (grasp, JAW_OPEN);
-        }
+        (grasp, wall)
+    }
+
+    /// How the block is picked up.
+    fn pick(&self, arm: &ArmView, block: &Pose) -> (Stage, (Pose, f64)) {
+        let (grasp, wall) = self.grasp(block, &arm.aim);
+        let off = arm.aim.translation.vector - grasp.translation.vector;
+        let out = outwards(self.block, block, wall);
+        let across = off.dot(&out);
+        let aside = [across.abs(), (level(&off) - out * across).norm()];
+        let is_within = |most: [f64; 2]| aside[0] < most[0] && aside[1] < most[1];
+        let is_turned = turn(&grasp, &arm.aim) < TURNED;
         let hover = grasp.translation.z.max(pass());
+        let is_high = arm.aim.translation.z > hover - PASS;
+        let is_low = off.z < LOW || off.z < LOW_ENOUGH && arm.is_held_up();
+        let is_about = is_turned && is_within(ABOUT) && is_low;
+        let is_ready = arm.is_open() && !arm.closes();
+        let is_closing = arm.closes() && !arm.is_empty() && off.norm() < CLOSING;
+        if is_closing || is_about && is_ready {
+            return (Stage::Pick, (grasp, JAW_CLOSED));
+        }
+        let goes_down = is_ready && is_turned && is_within(if is_high { ALIGNED } else { COMING });
         let mut target = grasp;
-        target.translation.z = hover;
-        if wrist.translation.z < hover - PASS {
+        if goes_down && arm.is_held_up() {
+            target.translation.z = arm.aim.translation.z + BACK;
+        } else if !goes_down && is_high {
+            target.translation.z = hover;
+        } else if !goes_down {
             // Out from between the pegs first.
-            target = *wrist;
+            target = arm.aim;
             target.translation.z = hover;
         }
-        (target, JAW_OPEN)
+        (Stage::Approach, (target, JAW_OPEN))
     }
 }
 
@@ -205,9 +227,9 @@ fn grasp(block: Block, pose: &Pose, wall: usize, wrist: &Pose) -> (Pose, f64) {
     let middle = (pose * block.block_from_wall(wall)).translation.vector;
     let (sin, cos) = libm::sincos(0.5 * JAW_OPEN);
     // From the middle of open jaws: the far side of a finger at its tip, the near side at the block's
-    // top.
+    // top when the fingers enter.
     let far = TIP_OFFSET * sin + 2.0 * FINGER_HALF.y * cos;
-    let near = (TIP_OFFSET - DEPTH) * sin / cos;
+    let near = (TIP_OFFSET - ENTRY) * sin / cos;
     // So far outside the wall's middle the jaws' may be at most, and must be at least.
     let most = near - block.half_wall();
     let pegs = (0..PegBoard::PEGS).map(PegBoard::peg);
@@ -236,10 +258,12 @@ fn level(vector: &Vector3<f64>) -> Vector3<f64> {
     Vector3::new(vector.x, vector.y, 0.0)
 }
 
+/// How far one pose is beside another, m.
 fn distance(one: &Pose, other: &Pose) -> f64 {
     (one.translation.vector - other.translation.vector).xy().norm()
 }
 
+/// How far one pose is turned about the vertical from another, rad.
 fn turn(one: &Pose, other: &Pose) -> f64 {
-    one.rotation.angle_to(&other.rotation)
+    (one.rotation * other.rotation.inverse()).scaled_axis().z.abs()
 }

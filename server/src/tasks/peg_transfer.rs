@@ -100,6 +100,7 @@ use trocar_proto::goal::Reward;
 use trocar_proto::spec::OptionSpec;
 use trocar_proto::{Options, Rejection, Stage, TaskSpec};
 
+use super::expert::{ArmView, ExpertInput};
 use super::objects;
 use super::options::{self, Preset};
 use super::peg_board::{Block, Layout, PegBoard};
@@ -238,12 +239,15 @@ impl Task for PegTransfer {
         self.arm.draw(world, scene);
     }
 
-    fn expert(&self, world: &World, action: &mut [f32]) {
-        self.transfer().act(&self.arm, world, action);
+    fn expert(&self, world: &World, input: &ExpertInput<'_>, action: &mut [f32]) {
+        let [view] = ArmView::of([&self.arm], world, input);
+        let (_, (target, jaw)) = self.transfer().plan(&view, world, input);
+        view.act(&target, jaw, action);
     }
 
-    fn stage(&self, world: &World) -> Stage {
-        self.transfer().stage(&self.arm, world)
+    fn stage(&self, world: &World, input: &ExpertInput<'_>) -> Stage {
+        let [view] = ArmView::of([&self.arm], world, input);
+        self.transfer().plan(&view, world, input).0
     }
 }
 

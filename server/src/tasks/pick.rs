@@ -1,12 +1,14 @@
 //! The scripted expert of tasks in which one arm picks up an object and brings it to a goal.
 //!
 //! It looks only at the present state, so it picks up again what it has lost: open the jaws above
-//! the object, go down, close, lift as high as the goal is, go there and stay.
+//! the object, go down, close, lift as high as the goal is, go there and stay. How deep a grasp is, is not commanded:
+//! the jaws go down until they are as low as they may be, or something holds them up, and press on while they close.
 
 use nalgebra::{UnitQuaternion, Vector3};
 use trocar_proto::Stage;
 
-use super::psm_scene::{PsmArm, STEP_ANGLE, STEP_LENGTH, down};
+use super::expert::{ArmView, ExpertInput};
+use super::psm_scene::{PsmArm, down};
 use super::start::Start;
 use crate::sim::frames::Pose;
 use crate::sim::instrument::{JAW_CLOSED, JAW_OPEN};
@@ -15,21 +17,29 @@ use crate::sim::world::{BodyId, World};
 /// How far above the grasp the jaws open, m. Source: the original.
 const HOVER: f64 = 0.005;
 
-/// How exactly the wrist is above the grasp before it goes down, m and rad.
-const ALIGNED: f64 = 0.3e-3;
-const TURNED: f64 = 0.02;
+/// How far beside the grasp the wrist may be when it goes down, m, and when the jaws close.
+const ALIGNED: f64 = 1.5e-3;
+const ABOUT: f64 = 2e-3;
 
-/// How low the wrist must be for the jaws to close, m above the grasp.
+/// How far the jaws may be turned from where they are to close, rad.
+const TURNED: f64 = 0.1;
+
+/// How low the wrist must be for the jaws to close, m above the grasp, and where it was held up.
 const LOW: f64 = 0.3e-3;
+const LOW_ENOUGH: f64 = 1.5e-3;
 
-/// Jaws open at least this far go down, rad.
-const OPEN: f64 = 0.9 * JAW_OPEN;
+/// How far below the grasp the wrist is sent, m: what is below stops it.
+const PRESS: f64 = 2e-3;
 
-/// Jaws that closed to less than this hold nothing, rad.
-const EMPTY: f64 = 0.02;
+/// How far the wrist may be from the grasp while the jaws close, m.
+const CLOSING: f64 = 3e-3;
 
 /// How far below its goal an object is lifted straight up, m.
 const LEVEL: f64 = 0.005;
+
+/// Jaws open at least this far are about the object, and how exactly, rad and m.
+const OPEN: f64 = 0.9 * JAW_OPEN;
+const EXACTLY: f64 = 0.6e-3;
 
 /// What is to be picked up and where it is to go.
 #[derive(Debug, Clone, Copy)]
@@ -45,18 +55,15 @@ pub struct Pick {
 }
 
 impl Pick {
-    /// Writes what `arm` is to do now.
-    pub fn act(&self, arm: &PsmArm, world: &World, action: &mut [f32]) {
-        let (target, jaw) = self.waypoint(arm, world);
-        arm.encode(&step_towards(arm, &target), jaw, action);
+    /// Writes what an arm is to do now.
+    pub fn act(&self, arm: &ArmView, world: &World, input: &ExpertInput<'_>, action: &mut [f32]) {
+        let (_, target, jaw) = self.plan(arm, world, input);
+        arm.act(&target, jaw, action);
     }
 
     /// What is done now.
-    pub fn stage(&self, arm: &PsmArm, world: &World) -> Stage {
-        if arm.holds(world, self.object) {
-            return if self.is_high() { Stage::Carry } else { Stage::Lift };
-        }
-        if self.is_about(arm) { Stage::Pick } else { Stage::Approach }
+    pub fn stage(&self, arm: &ArmView, world: &World, input: &ExpertInput<'_>) -> Stage {
+        self.plan(arm, world, input).0
     }
 
     /// How far the work is done.
@@ -65,46 +72,40 @@ impl Pick {
             if self.is_high() { Start::Lift } else { Start::Pick }
         } else {
             let off = arm.scene_from_wrist().translation.vector - self.grasp.translation.vector;
-            let about = off.norm() < ALIGNED + LOW && arm.opening(world) > OPEN;
+            let about = off.norm() < EXACTLY && arm.opening(world) > OPEN;
             if about { Start::Approach } else { Start::Reset }
         }
     }
 
-    fn waypoint(&self, arm: &PsmArm, world: &World) -> (Pose, f64) {
-        let wrist = arm.scene_from_wrist();
-        let opening = arm.opening(world);
-        if arm.holds(world, self.object) {
+    /// What is done now: where the wrist goes for it, and the angle of the jaws, rad.
+    fn plan(&self, arm: &ArmView, world: &World, input: &ExpertInput<'_>) -> (Stage, Pose, f64) {
+        if arm.has(world, self.object, input) {
             let mut way = self.goal - self.carried;
-            if way.z > LEVEL {
+            if !self.is_high() {
                 (way.x, way.y) = (0.0, 0.0);
             }
-            return (Pose::from(way) * wrist, JAW_CLOSED);
+            let stage = if self.is_high() { Stage::Carry } else { Stage::Lift };
+            return (stage, Pose::from(way) * arm.wrist, JAW_CLOSED);
         }
-        if self.is_about(arm) {
-            (self.grasp, if opening < EMPTY { JAW_OPEN } else { JAW_CLOSED })
-        } else if self.is_aligned(wrist) && opening > OPEN {
-            (self.grasp, JAW_OPEN)
+        let deep = Pose::from(Vector3::z() * -PRESS) * self.grasp;
+        let off = arm.aim.translation.vector - self.grasp.translation.vector;
+        let turned = (arm.aim.rotation * self.grasp.rotation.inverse()).scaled_axis().z.abs();
+        let (aside, is_turned) = (off.xy().norm(), turned < TURNED);
+        let is_low = off.z < LOW || off.z < LOW_ENOUGH && (arm.is_held_up() || arm.is_lowest());
+        let is_closing = arm.closes() && off.norm() < CLOSING + PRESS && !arm.is_empty();
+        let is_about = aside < ABOUT && is_turned && is_low && arm.is_open() && !arm.closes();
+        if is_closing || is_about {
+            (Stage::Pick, deep, JAW_CLOSED)
+        } else if aside < ALIGNED && is_turned && arm.is_open() && !arm.closes() {
+            (Stage::Approach, deep, JAW_OPEN)
         } else {
-            (Pose::from(Vector3::z() * HOVER) * self.grasp, JAW_OPEN)
+            (Stage::Approach, Pose::from(Vector3::z() * HOVER) * self.grasp, JAW_OPEN)
         }
     }
 
     /// Whether the object need not be lifted any more.
     fn is_high(&self) -> bool {
         self.goal.z - self.carried.z <= LEVEL
-    }
-
-    /// Whether a wrist is straight above the grasp, turned as it must be.
-    fn is_aligned(&self, wrist: &Pose) -> bool {
-        let off = wrist.translation.vector - self.grasp.translation.vector;
-        off.xy().norm() < ALIGNED && wrist.rotation.angle_to(&self.grasp.rotation) < TURNED
-    }
-
-    /// Whether the jaws are where they close.
-    fn is_about(&self, arm: &PsmArm) -> bool {
-        let wrist = arm.scene_from_wrist();
-        let height = wrist.translation.z - self.grasp.translation.z;
-        self.is_aligned(wrist) && height < LOW
     }
 }
 
@@ -119,15 +120,4 @@ pub fn jaws_across(along: &Vector3<f64>, wrist: &Pose) -> UnitQuaternion<f64> {
     let half = std::f64::consts::PI;
     let turn = wanted + half * ((now - wanted) / half).round();
     UnitQuaternion::from_axis_angle(&Vector3::z_axis(), turn) * down()
-}
-
-/// As far from where `arm` was commanded to `target` as one step goes, along a straight line.
-pub(super) fn step_towards(arm: &PsmArm, target: &Pose) -> Pose {
-    let (now, scale) = (arm.commanded(), arm.rate().scale());
-    let step = target.translation.vector - now.translation.vector;
-    let step = step / (step.amax() / (STEP_LENGTH * scale)).max(1.0);
-    let turn = (target.rotation * now.rotation.inverse()).scaled_axis();
-    let turn = turn / (turn.norm() / (STEP_ANGLE * scale)).max(1.0);
-    let rotation = UnitQuaternion::from_scaled_axis(turn) * now.rotation;
-    Pose::from_parts((now.translation.vector + step).into(), rotation)
 }

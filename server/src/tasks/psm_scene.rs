@@ -181,6 +181,8 @@ pub struct PsmArm {
     commanded: Commanded,
     /// How the arm goes where the latest command asked it to be.
     profile: Profile,
+    /// Whether it was held up or pushed aside in the last step.
+    is_held_up: bool,
     /// What the actuators add to the next command: a step (m) and a rotation vector (rad), scene frame.
     disturbance: Option<[Vector3<f64>; 2]>,
 }
@@ -259,6 +261,7 @@ impl PsmArm {
                 jaw: JAW_CLOSED,
             },
             profile: Profile::rest(Posture { world_from_wrist: start, jaw: JAW_CLOSED }),
+            is_held_up: false,
             disturbance: None,
         };
         for corner in station.workspace.corners() {
@@ -295,6 +298,7 @@ impl PsmArm {
     fn stay(&mut self) {
         let (joints, scene_from_wrist) = (self.joints, self.scene_from_wrist);
         self.commanded = Commanded { joints, scene_from_wrist, jaw: self.instrument.posture().jaw };
+        self.is_held_up = false;
         self.profile = Profile::rest(*self.instrument.posture());
     }
 
@@ -341,6 +345,46 @@ impl PsmArm {
     /// The wrist as the joint sensors report it, scene frame.
     pub fn scene_from_wrist(&self) -> &Pose {
         &self.scene_from_wrist
+    }
+
+    /// The wrist as it truly is, scene frame.
+    pub fn true_wrist(&self) -> &Pose {
+        &self.instrument.posture().world_from_wrist
+    }
+
+    /// The wrist where it truly will be when the arm is where the latest command asked it to be, scene frame.
+    pub fn true_commanded(&self) -> Pose {
+        self.true_pose(&self.commanded.joints)
+    }
+
+    /// How far the jaws are told to be open now, on their way to what the latest command asked for, rad.
+    pub fn told_opening(&self) -> f64 {
+        self.instrument.posture().jaw
+    }
+
+    /// How far the latest command asked the jaws to be open, rad.
+    pub fn asked_opening(&self) -> f64 {
+        self.commanded.jaw
+    }
+
+    /// Whether it was held up or pushed aside in the last step.
+    pub fn is_held_up(&self) -> bool {
+        self.is_held_up
+    }
+
+    /// Whether the latest command asked it to be as low as it may go.
+    pub fn is_lowest(&self) -> bool {
+        /// What counts as no higher, m.
+        const ROUNDING: f64 = 1e-6;
+        let lowest = self.support + instrument::CLEARANCE + ROUNDING;
+        let low =
+            |pose: &Pose| pose.translation.z - self.instrument.depth_below_wrist(&pose.rotation);
+        low(&self.commanded.scene_from_wrist) < lowest || low(&self.true_commanded()) < lowest
+    }
+
+    /// Numbers of an action.
+    pub fn action_len(&self) -> usize {
+        self.mode.psm_numbers()
     }
 
     /// Draws the arm as it truly is, as `psm1` or `psm2`.
@@ -445,6 +489,7 @@ impl PsmArm {
             self.joints_where_it_is(&self.commanded.joints)
         };
         self.scene_from_wrist = self.pose_at(&self.joints);
+        self.is_held_up = arrival.is_blocked;
         if arrival.is_blocked {
             let (joints, scene_from_wrist) = (self.joints, self.scene_from_wrist);
             self.commanded = Commanded { joints, scene_from_wrist, ..self.commanded };

@@ -9,6 +9,7 @@ use std::sync::OnceLock;
 use trocar_proto::Options;
 use trocar_proto::spec::OptionSpec;
 
+use super::expert::ExpertInput;
 use super::{AnyTask, Task, rate, time};
 use crate::sim::random::Rng;
 use crate::sim::world::World;
@@ -74,10 +75,7 @@ pub fn bring_about<T: Task>(
             if there(task, world) {
                 return;
             }
-            Task::expert(task, world, &mut action);
-            for number in &mut action {
-                *number = number.clamp(-1.0, 1.0);
-            }
+            Task::expert(task, world, &ExpertInput::default(), &mut action);
             time::step(task, world, Some(&action), rate::substeps(spec.seconds_per_step));
         }
     }

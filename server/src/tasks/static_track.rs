@@ -96,6 +96,7 @@ use trocar_proto::{Options, Rejection, TaskSpec};
 use super::Task;
 use super::camera::Cube;
 use super::ecm_scene::{EcmArm, RATE, misorientation_element};
+use super::expert::{ExpertInput, Sees};
 use super::options;
 use super::track::{Layout, Tracker, image_elements};
 use crate::render::Scene;
@@ -149,6 +150,7 @@ impl Task for StaticTrack {
             options::observation_or_perceived(),
             options::preset(),
             RATE.option(10.0),
+            Sees::option(),
             options::domain_with(options::camera_rows(CAMERA_ANGLE)),
             options::setup(&Tracker::setup_rows()),
         ]
@@ -219,8 +221,8 @@ impl Task for StaticTrack {
         self.tracker.draw(scene);
     }
 
-    fn expert(&self, _: &World, action: &mut [f32]) {
-        self.tracker.expert(action);
+    fn expert(&self, _: &World, input: &ExpertInput<'_>, action: &mut [f32]) {
+        self.tracker.expert(input, action);
     }
 }
 

@@ -37,6 +37,7 @@ use trocar_proto::{Options, Rejection};
 
 use super::camera::{Cube, IMAGE_BOUND, Sighting, TAN_HALF_VIEW, View};
 use super::ecm_scene::{Control, EcmArm, STEP_TURN, misorientation_element};
+use super::expert::ExpertInput;
 use super::options::{self, Preset};
 use super::perception;
 use super::rate::Rate;
@@ -280,13 +281,19 @@ impl Tracker {
     }
 
     /// Writes the action of the visual servo: a turn of the camera by the angles under which the
-    /// target is seen beside the middle, as fast as it can be.
-    pub fn expert(&self, action: &mut [f32]) {
+    /// target will be seen beside the middle once the actions in flight have turned the camera, as fast as it can be.
+    pub fn expert(&self, input: &ExpertInput<'_>, action: &mut [f32]) {
+        let ahead = self.arm.ahead(input.in_flight);
         let (_, point) = self.observed();
-        let angles = point.map(|number| libm::atan(number * TAN_HALF_VIEW));
+        // The camera frame's x and y axes are the image axes left and up.
+        let [now, then] = [&self.arm, &ahead].map(|arm| arm.seen_camera(input.sees).rotation);
+        let turned = then.inverse() * now;
+        let seen = Vector3::new(-point.x * TAN_HALF_VIEW, -point.y * TAN_HALF_VIEW, 1.0);
+        let will = turned * seen;
+        let angles = Vector2::new(-will.x, -will.y).map(|across| libm::atan2(across, will.z));
         let across =
             (angles / (STEP_TURN * self.rate().scale())).map(|number| number.clamp(-1.0, 1.0));
-        self.arm.encode_velocity(&Vector3::new(across.x, across.y, 0.0), action);
+        ahead.encode_velocity(&Vector3::new(across.x, across.y, 0.0), action);
     }
 
     /// Whether the target is in view, and its image point, as observed.

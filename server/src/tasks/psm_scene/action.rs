@@ -15,7 +15,8 @@ use crate::sim::instrument::{JAW_CLOSED, JAW_OPEN};
 use crate::tasks::options::{self, ActionMode};
 
 impl PsmArm {
-    /// The action that brings the sensed wrist to `target` or, where one step cannot, towards it.
+    /// The action that brings the sensed wrist from where it was commanded to be to `target` or, where one step
+    /// cannot, towards it.
     pub fn encode(&self, target: &Pose, jaw: f64, action: &mut [f32]) {
         let now = &self.commanded.scene_from_wrist;
         let moved = target.translation.vector - now.translation.vector;
