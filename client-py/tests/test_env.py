@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 
 import trocar
 from trocar._trocar import Client
-from trocar.registration import TASKS
+from trocar.errors import ResetNeeded
+from trocar.registration import RATES, TASKS
 
 
 def make(task: str, server: str, **options: Any) -> trocar.TrocarEnv:
@@ -64,14 +65,47 @@ def test_every_registered_task_is_known_to_the_server(server: str) -> None:
     assert set(TASKS) == set(Client.connect(server).tasks())
 
 
-def test_registered_episode_length_is_the_servers(task: str, server: str) -> None:
-    env = gym.make(f"trocar/{task}", server=server)
-    assert env.spec is not None
-    assert env.spec.max_episode_steps == make(task, server).task_spec.max_steps
+def test_the_spec_of_an_environment_has_its_own_episode_length(task: str, server: str) -> None:
+    for rate in (10, 20):
+        env = gym.make(f"trocar/{task}", server=server, rate=rate)
+        vector = gym.make_vec(f"trocar/{task}", num_envs=2, server=server, rate=rate)
+        nominal = RATES.get(task, 5)
+        assert env.spec is not None
+        for spec in (env.spec, gym.make(env.spec, server=server).spec, vector.spec):
+            assert spec is not None
+            assert spec.max_episode_steps == TASKS[task] * rate // nominal
+        env.close()
+        vector.close()
+
+
+def test_episodes_of_another_rate_are_as_long_in_seconds(server: str) -> None:
+    env = gym.make("trocar/NeedleReach-v0", server=server, rate=20)
+    env.reset(seed=0)
+    action = np.zeros(5, np.float32)
+    ends = [env.step(action)[3] for _ in range(200)]
+    assert ends == [False] * 199 + [True]
+    assert env.unwrapped.metadata["render_fps"] == 20
+    env.close()
+
+
+def test_success_ends_an_episode_where_that_is_asked_for(server: str) -> None:
+    env = make("NeedleReach-v0", server, terminate="success", expert=True)
+    obs, info = env.reset(seed=1)
+    terminated = False
+    while not terminated:
+        obs, _, terminated, truncated, info = env.step(info["expert_action"])
+        goals = obs["achieved_goal"], obs["desired_goal"]
+        assert terminated == info["is_success"] == env.compute_terminated(*goals, info)
+        assert not truncated
+        assert not env.compute_truncated(*goals, info)
+    with pytest.raises(ResetNeeded):
+        env.step(info["expert_action"])
+    env.close()
 
 
 def test_time_limit_of_gymnasium_and_server_agree(task: str, server: str) -> None:
-    wrapped, bare = gym.make(f"trocar/{task}", server=server), make(task, server, expert=True)
+    wrapped = gym.make(f"trocar/{task}", server=server, max_episode_steps=TASKS[task])
+    bare = make(task, server, expert=True)
     for env in (wrapped, bare):
         env.reset(seed=0)
     for step in range(1, TASKS[task] + 1):

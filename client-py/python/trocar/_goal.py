@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import operator
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any, cast
 
 import numpy as np
 from gymnasium import spaces
+from gymnasium.envs.registration import EnvSpec
 from numpy.typing import ArrayLike, NDArray
 
 from trocar import _trocar
@@ -24,6 +26,27 @@ LARGEST_SEED = 2**63 - 1
 """Seeds are below 2**63, so that they fit into NumPy's integers."""
 
 
+class Described:
+    """What Gymnasium's spec of an environment says: how many steps its episodes have.
+
+    Gymnasium sets the spec when it makes an environment.
+    """
+
+    task_spec: _trocar.TaskSpec
+    _spec: EnvSpec | None = None
+
+    @property
+    def spec(self) -> EnvSpec | None:
+        """The spec that the environment was made from, if Gymnasium made it."""
+        return self._spec
+
+    @spec.setter
+    def spec(self, spec: EnvSpec | None) -> None:
+        if spec is not None and spec.max_episode_steps is None:
+            spec = replace(spec, max_episode_steps=self.task_spec.max_steps)
+        self._spec = spec
+
+
 class GoalFunctions:
     """Rewards as pure functions of goals, for one pair of goals or any batch of them.
 
@@ -33,6 +56,7 @@ class GoalFunctions:
     """
 
     task_spec: _trocar.TaskSpec
+    _ends_on_success: bool = False
 
     def compute_reward(
         self, achieved_goal: ArrayLike, desired_goal: ArrayLike, info: Any = None
@@ -50,15 +74,20 @@ class GoalFunctions:
     def compute_terminated(
         self, achieved_goal: ArrayLike, desired_goal: ArrayLike, info: Any = None
     ) -> Any:
-        """Whether episodes end at these goals: never; bool of shape (...)."""
+        """Whether episodes end at these goals; bool of shape (...).
+
+        They never do, but with ``terminate="success"`` where the goals are reached.
+        """
         del info
-        return np.zeros_like(self.task_spec.compute_success(achieved_goal, desired_goal))[()]
+        success = self.task_spec.compute_success(achieved_goal, desired_goal)
+        return (success if self._ends_on_success else np.zeros_like(success))[()]
 
     def compute_truncated(
         self, achieved_goal: ArrayLike, desired_goal: ArrayLike, info: Any = None
     ) -> Any:
         """Whether episodes are cut short at these goals: never, that is up to the time limit."""
-        return self.compute_terminated(achieved_goal, desired_goal, info)
+        del info
+        return np.zeros_like(self.task_spec.compute_success(achieved_goal, desired_goal))[()]
 
     def compute_success(self, achieved_goal: ArrayLike, desired_goal: ArrayLike) -> Any:
         """Whether goals of shape (..., goal dim) are reached: bool of shape (...)."""

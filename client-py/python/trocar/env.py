@@ -15,6 +15,7 @@ from trocar._connection import Connection
 from trocar._goal import (
     PICTURES,
     RENDER_MODES,
+    Described,
     GoalFunctions,
     Observation,
     action_space,
@@ -30,13 +31,14 @@ from trocar.errors import InvalidOption, ResetNeeded, refuse
 from trocar.snapshot import Snapshot
 
 
-class TrocarEnv(GoalFunctions, gym.Env[Observation, NDArray[np.float32]]):
+class TrocarEnv(Described, GoalFunctions, gym.Env[Observation, NDArray[np.float32]]):
     """One environment of a task, simulated by a server.
 
     Observations are dictionaries of float32 arrays: ``observation``, ``achieved_goal`` and
     ``desired_goal``; :attr:`task_spec` says what each element means. ``info["is_success"]`` says
-    after each step whether the goal is reached. Episodes never terminate there; they are truncated
-    by the server at the task's number of steps. Tasks without goals return the array
+    after each step whether the goal is reached. Episodes never terminate there, unless
+    ``terminate="success"``; they are truncated by the server at the task's number of steps, which
+    ``spec.max_episode_steps`` has, too. Tasks without goals return the array
     ``observation`` alone, never report success, and may terminate.
 
     With the option ``observation``, e.g. ``("state", "rgb", "depth")``, pictures stand beside the
@@ -100,6 +102,7 @@ class TrocarEnv(GoalFunctions, gym.Env[Observation, NDArray[np.float32]]):
         self._copy = copy
         self._window: Window | None = None
         self._expert_action: NDArray[np.float32] | None = None
+        self._ends_on_success = options.get("terminate") == "success"
         self._connection = Connection(
             task,
             server=server,
@@ -158,9 +161,8 @@ class TrocarEnv(GoalFunctions, gym.Env[Observation, NDArray[np.float32]]):
     def snapshot(self) -> Snapshot:
         """Saves the present state, at any moment after the first reset.
 
-        Wrappers have state of their own: ``env.unwrapped`` has this method, and ``TimeLimit``, with
-        which :func:`gymnasium.make` counts steps, does not notice a :meth:`restore`. For planning,
-        make the environment with ``max_episode_steps=-1``; the server ends episodes in any case.
+        Wrappers have state of their own: ``env.unwrapped`` has this method, and a ``TimeLimit``, if
+        :func:`gymnasium.make` was told to add one, does not notice a :meth:`restore`.
         """
         return self._connection.snapshot()
 

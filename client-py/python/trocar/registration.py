@@ -8,10 +8,9 @@ from trocar._connection import connect
 
 NAMESPACE = "trocar"
 
-# Steps per episode stand here so that importing needs no server; a test compares them with the
-# server's. They go into Gymnasium's spec because trainers, recorders and `make_vec` read the
-# length of an episode there. Gymnasium's TimeLimit then counts the same steps as the server and
-# truncates at the same one, so it changes nothing.
+# The steps of an episode at each task's nominal rate, here so that importing needs no server; a
+# test compares them with the server's. Gymnasium's registry has none: its TimeLimit would cut
+# episodes of other rates short. An environment's own spec says how many steps its episodes have.
 TASKS = {
     "NeedleReach-v0": 50,
     "NeedlePick-v0": 50,
@@ -25,6 +24,9 @@ TASKS = {
     "ActiveTrack-v0": 500,
 }
 
+RATES = dict.fromkeys(("EcmReach-v0", "MisOrient-v0", "StaticTrack-v0", "ActiveTrack-v0"), 10)
+"""Nominal rates of the tasks that have another one than 5 Hz."""
+
 
 def register_all(server: str | None = None) -> list[str]:
     """Registers the tasks as ``trocar/<task>``; once is enough, more does no harm.
@@ -37,23 +39,17 @@ def register_all(server: str | None = None) -> list[str]:
         The ids of all tasks that were registered: Trocar's, or those that ``server`` offers.
     """
     if server is None:
-        return [register(task, max_steps) for task, max_steps in TASKS.items()]
-    client = connect(server)
-    ids = []
-    for task in client.tasks():
-        if task in TASKS:
-            ids.append(register(task, TASKS[task]))
-        else:
-            ids.append(register(task, client.describe(task).max_steps, server=server))
-    return ids
+        return [register(task) for task in TASKS]
+    tasks = connect(server).tasks()
+    return [register(task, server=None if task in TASKS else server) for task in tasks]
 
 
-def register(task: str, max_steps: int, *, server: str | None = None) -> str:
+def register(task: str, max_steps: int | None = None, *, server: str | None = None) -> str:
     """Registers a task as ``trocar/<task>``, without asking any server, and returns that id.
 
     Args:
         task: Its id without namespace.
-        max_steps: Steps after which its episodes end.
+        max_steps: Steps after which Gymnasium cuts its episodes short, besides the server.
         server: Where it is made unless another server is named.
     """
     name = f"{NAMESPACE}/{task}"

@@ -16,6 +16,7 @@ from trocar._connection import Connection
 from trocar._goal import (
     PICTURES,
     RENDER_MODES,
+    Described,
     GoalFunctions,
     Observation,
     action_space,
@@ -42,7 +43,7 @@ EXPERT = ("expert_action", "expert_stage")
 
 
 class TrocarVectorEnv(
-    GoalFunctions, gym.vector.VectorEnv[Observation, NDArray[np.float32], NDArray[Any]]
+    Described, GoalFunctions, gym.vector.VectorEnv[Observation, NDArray[np.float32], NDArray[Any]]
 ):
     """N environments of a task in one session of a server, stepped by one message.
 
@@ -100,6 +101,7 @@ class TrocarVectorEnv(
         self.closed = True  # until there is something to close
         wanted = view(render_mode, render_options)
         self.autoreset_mode = _autoreset_mode(autoreset_mode)
+        self._ends_on_success = options.get("terminate") == "success"
         self._connection = Connection(
             task,
             server=server,

@@ -12,7 +12,7 @@ from importlib import resources
 from typing import Any
 
 from trocar.errors import InvalidOption, UnknownTask, refuse
-from trocar.registration import NAMESPACE, TASKS
+from trocar.registration import NAMESPACE, RATES, TASKS
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -121,7 +121,8 @@ class Config:
     @property
     def steps(self) -> int:
         """Steps of an episode that lasts to its end."""
-        return TASKS[self.task]
+        nominal = RATES.get(self.task, 5)
+        return round(TASKS[self.task] * self.task_options.get("rate", nominal) / nominal)
 
     @property
     def epoch_steps(self) -> int:
