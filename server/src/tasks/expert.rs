@@ -171,6 +171,12 @@ impl ArmView {
         self.opening > EMPTY && world.distance(object, &place) < NEAR
     }
 
+    /// How far `target` is outside of where the wrist may go, m.
+    pub fn shortfall(&self, target: &Pose) -> f64 {
+        let way = target.translation.vector - self.aim.translation.vector;
+        self.ahead.shortfall(&(self.ahead.commanded().translation.vector + way))
+    }
+
     /// Writes the action that brings the wrist as far from its aim to `target` as one step goes, along a straight line.
     pub fn act(&self, target: &Pose, jaw: f64, action: &mut [f32]) {
         let scale = self.ahead.rate().scale();
