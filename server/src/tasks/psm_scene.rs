@@ -483,12 +483,13 @@ impl PsmArm {
     /// Takes note of how far the arm came.
     pub fn arrive(&mut self, arrival: Arrival) {
         let is_there = arrival.covered >= 1.0 && self.rate.is_nominal();
-        self.joints = if is_there {
-            self.commanded.joints
+        if is_there {
+            let Commanded { joints, scene_from_wrist, .. } = self.commanded;
+            (self.joints, self.scene_from_wrist) = (joints, scene_from_wrist);
         } else {
-            self.joints_where_it_is(&self.commanded.joints)
-        };
-        self.scene_from_wrist = self.pose_at(&self.joints);
+            self.joints = self.joints_where_it_is(&self.commanded.joints);
+            self.scene_from_wrist = self.pose_at(&self.joints);
+        }
         self.is_held_up = arrival.is_blocked;
         if arrival.is_blocked {
             let (joints, scene_from_wrist) = (self.joints, self.scene_from_wrist);

@@ -21,9 +21,9 @@ fn arm(options: &Options) -> (World, PsmArm) {
 fn step(arm: &mut PsmArm, world: &mut World, action: &[f32]) {
     arm.command(Some(action));
     let substeps = arm.rate.substeps();
-    let mut motion = Motion::new([arm.profile.clone()].into_iter().collect(), substeps);
+    let mut motion = Motion::new([arm.profile.clone()], substeps);
     motion.pass(substeps, &mut [&mut arm.instrument], world);
-    arm.arrive(motion.arrivals()[0]);
+    arm.arrive(motion.arrivals().next().unwrap());
 }
 
 #[test]
