@@ -78,6 +78,7 @@ pub fn options(
         options::action(),
         options::observation(),
         options::preset(),
+        options::arm(),
         RATE.option(5.0),
     ];
     specs.extend(own);
