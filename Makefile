@@ -78,6 +78,11 @@ wheels: $(VENV)/ready ## * dist/: the wheels trocar (client) and trocar-server (
 	$(BIN)/maturin build --release --locked --manifest-path client-py/Cargo.toml --out dist
 	$(BIN)/maturin build --release --locked --manifest-path server/cli/Cargo.toml --out dist
 
+# SEEDS=0..40: which episodes; the table in server/GRASPING.md is that of its own seeds.
+.PHONY: experts-table
+experts-table: ## how often the scripted experts succeed with arms that are late, disturbed or wrong
+	$(CARGO) run --release --locked -p trocar-server --example experts -- --threads $$(nproc) --seeds $${SEEDS:-0..40}
+
 # TROCAR_BITS=starts: only the episodes whose start is the expert's work.
 .PHONY: bits
 bits: ## server/tests/fixtures/bits.bin: records its episodes anew; only when physics changes on purpose

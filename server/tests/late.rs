@@ -129,3 +129,12 @@ fn what_is_measured_is_where_an_expert_goes() {
     }
     assert!(missed[0] < 0.1 * WRONG && missed[1] > WRONG, "{missed:?}");
 }
+
+#[test]
+fn a_wall_out_of_an_arms_reach_is_left_for_another() {
+    // The block stands at the edge of what PSM2 may reach, which its encoders have elsewhere.
+    let rows = BTreeMap::from([("joint_offset".to_string(), vec![-0.02, 0.02])]);
+    let mut env =
+        make("BiPegTransfer-v0", &Options::new().with("domain", OptionValue::Table(rows)));
+    assert!(succeeds(&mut env, 1002));
+}

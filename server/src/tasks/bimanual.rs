@@ -196,7 +196,8 @@ impl HandOver {
     fn is_offered(&self, giver: &ArmView, taker: &ArmView) -> bool {
         let most = if self.is_near(taker) { STILL_OFFERED } else { OFFERED };
         let off = distance(&giver.wrist, &self.offer);
-        off[0] < most[0] && off[1] < most[1]
+        let is_there = off[0] < most[0] && off[1] < most[1];
+        is_there || off[0] < STILL_OFFERED[0] && giver.shortfall(&self.offer) > 0.0
     }
 
     /// Whether the taker is about to take the object.
@@ -214,7 +215,7 @@ impl HandOver {
         };
         let short = -off.translation.z;
         let is_closing =
-            taker.closes() && !taker.is_empty() && off.translation.vector.norm() < NEAR;
+            taker.closes() && !taker.is_closed() && off.translation.vector.norm() < NEAR;
         let comes = is_within(if short < 0.8 * self.hover { COMING } else { ALIGNED });
         if !offered || !is_closing && (taker.closes() || !taker.is_open()) {
             (hover, JAW_OPEN)

@@ -133,9 +133,14 @@ impl ArmView {
         self.opening > OPEN
     }
 
+    /// Whether the jaws are told to be closed now. Jaws that do not have an object then have missed it.
+    pub fn is_closed(&self) -> bool {
+        self.told < EMPTY
+    }
+
     /// Whether the jaws have closed and nothing is between them.
     pub fn is_empty(&self) -> bool {
-        self.told < EMPTY && self.opening < EMPTY
+        self.is_closed() && self.opening < EMPTY
     }
 
     /// Whether the commands up to now close the jaws, or keep them closed.
@@ -156,7 +161,7 @@ impl ArmView {
 
     /// Whether the jaws have closed on `object`: both fingers press on it, or something keeps them apart where it is.
     pub fn has(&self, world: &World, object: BodyId, input: &ExpertInput<'_>) -> bool {
-        if self.told > EMPTY {
+        if !self.is_closed() {
             return false; // open fingers may press on what they come down on
         }
         if self.sees == Sees::Truth && self.ahead.holds(world, object) {
@@ -164,6 +169,12 @@ impl ArmView {
         }
         let place = self.wrist * Point3::new(0.0, 0.0, GRIP) - input.position_error;
         self.opening > EMPTY && world.distance(object, &place) < NEAR
+    }
+
+    /// How far `target` is outside of where the wrist may go, m.
+    pub fn shortfall(&self, target: &Pose) -> f64 {
+        let way = target.translation.vector - self.aim.translation.vector;
+        self.ahead.shortfall(&(self.ahead.commanded().translation.vector + way))
     }
 
     /// Writes the action that brings the wrist as far from its aim to `target` as one step goes, along a straight line.

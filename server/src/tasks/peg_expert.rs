@@ -93,7 +93,7 @@ impl Transfer {
             return if passes >= 0.5 * PASS { Start::Lift } else { Start::Pick };
         }
         let wrist = arm.scene_from_wrist();
-        let (grasp, _) = self.grasp(&block, wrist);
+        let (grasp, _) = self.grasp(&block, wrist, |pose| arm.shortfall(&pose.translation.vector));
         let off = wrist.translation.vector - grasp.translation.vector;
         let about = off.xy().norm() < EXACTLY && off.z < LOW && arm.opening(world) > OPEN;
         if about { Start::Approach } else { Start::Reset }
@@ -141,13 +141,15 @@ impl Transfer {
         }
     }
 
-    /// The wrist that grasps the block best for an arm with its wrist at `wrist`, and the wall.
-    fn grasp(&self, block: &Pose, wrist: &Pose) -> (Pose, usize) {
+    /// The wrist that grasps the block best for an arm with its wrist at `wrist`, and the wall. `shortfall`: how far a
+    /// wrist is outside of where the arm may go, m.
+    fn grasp(&self, block: &Pose, wrist: &Pose, shortfall: impl Fn(&Pose) -> f64) -> (Pose, usize) {
         let (grasp, _, wall) = (0..Block::WALLS)
             .map(|wall| {
                 let (pose, missing) = grasp(self.block, block, wall, wrist);
                 let aside = self.side * outwards(self.block, block, wall).y;
                 let awkward = (self.side.abs() * WELL_ASIDE - aside).max(0.0) / AWKWARD;
+                let missing = missing + shortfall(&pose);
                 (pose, turn(&pose, wrist) + missing / TIGHT + awkward, wall)
             })
             .min_by(|(_, a, _), (_, b, _)| a.total_cmp(b))
@@ -157,7 +159,7 @@ impl Transfer {
 
     /// How the block is picked up.
     fn pick(&self, arm: &ArmView, block: &Pose) -> (Stage, (Pose, f64)) {
-        let (grasp, wall) = self.grasp(block, &arm.aim);
+        let (grasp, wall) = self.grasp(block, &arm.aim, |pose| arm.shortfall(pose));
         let off = arm.aim.translation.vector - grasp.translation.vector;
         let out = outwards(self.block, block, wall);
         let across = off.dot(&out);
@@ -169,16 +171,20 @@ impl Transfer {
         let is_low = off.z < LOW || off.z < LOW_ENOUGH && arm.is_held_up();
         let is_about = is_turned && is_within(ABOUT) && is_low;
         let is_ready = arm.is_open() && !arm.closes();
-        let is_closing = arm.closes() && !arm.is_empty() && off.norm() < CLOSING;
+        let is_closing = arm.closes() && !arm.is_closed() && off.norm() < CLOSING;
         if is_closing || is_about && is_ready {
             return (Stage::Pick, (grasp, JAW_CLOSED));
         }
-        let goes_down = is_ready && is_turned && is_within(if is_high { ALIGNED } else { COMING });
+        let over = Vector3::new(grasp.translation.x, grasp.translation.y, hover);
+        let over = Pose::from_parts(over.into(), grasp.rotation);
+        let is_aligned = is_within(if is_high { ALIGNED } else { COMING })
+            || is_within(COMING) && arm.shortfall(&over) > 0.0;
+        let goes_down = is_ready && is_turned && is_aligned;
         let mut target = grasp;
         if goes_down && arm.is_held_up() {
             target.translation.z = arm.aim.translation.z + BACK;
         } else if !goes_down && is_high {
-            target.translation.z = hover;
+            target = over;
         } else if !goes_down {
             // Out from between the pegs first.
             target = arm.aim;

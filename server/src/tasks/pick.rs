@@ -92,14 +92,16 @@ impl Pick {
         let turned = (arm.aim.rotation * self.grasp.rotation.inverse()).scaled_axis().z.abs();
         let (aside, is_turned) = (off.xy().norm(), turned < TURNED);
         let is_low = off.z < LOW || off.z < LOW_ENOUGH && (arm.is_held_up() || arm.is_lowest());
-        let is_closing = arm.closes() && off.norm() < CLOSING + PRESS && !arm.is_empty();
+        let is_closing = arm.closes() && off.norm() < CLOSING + PRESS && !arm.is_closed();
         let is_about = aside < ABOUT && is_turned && is_low && arm.is_open() && !arm.closes();
+        let hover = Pose::from(Vector3::z() * HOVER) * self.grasp;
+        let is_aligned = aside < ALIGNED || aside < ABOUT && arm.shortfall(&hover) > 0.0;
         if is_closing || is_about {
             (Stage::Pick, deep, JAW_CLOSED)
-        } else if aside < ALIGNED && is_turned && arm.is_open() && !arm.closes() {
+        } else if is_aligned && is_turned && arm.is_open() && !arm.closes() {
             (Stage::Approach, deep, JAW_OPEN)
         } else {
-            (Stage::Approach, Pose::from(Vector3::z() * HOVER) * self.grasp, JAW_OPEN)
+            (Stage::Approach, hover, JAW_OPEN)
         }
     }
 

@@ -395,6 +395,11 @@ impl PsmArm {
         low(&self.commanded.scene_from_wrist) < lowest || low(&self.true_commanded()) < lowest
     }
 
+    /// How far a place is outside of where the sensed wrist may go, m.
+    pub fn shortfall(&self, place: &Vector3<f64>) -> f64 {
+        (self.reach.clamp(place) - place).norm()
+    }
+
     /// Numbers of an action.
     pub fn action_len(&self) -> usize {
         self.mode.psm_numbers()
