@@ -5,7 +5,7 @@ use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
-use trocar_server::robots::{Ecm, EcmModel, Endoscope, JointLimit, Psm};
+use trocar_server::robots::{ArmModel, Ecm, Endoscope, JointLimit, Psm};
 use urdf_rs::{Geometry, Joint, JointType, Pose, Robot};
 
 /// Largest difference between the URDF and the DH chain, m and rad.
@@ -136,7 +136,7 @@ fn the_ecm_urdfs_move_as_their_dh_chain() {
         ("model_up30", Endoscope::Up30),
         ("model_down30", Endoscope::Down30),
     ];
-    for (folder, model) in [("ecm", EcmModel::Classic), ("ecm_si", EcmModel::Si)] {
+    for (folder, model) in [("ecm", ArmModel::Classic), ("ecm_si", ArmModel::Si)] {
         for (file, endoscope) in endoscopes {
             let robot = read(&format!("{folder}/{file}.urdf"));
             let ecm = Ecm::new(model, endoscope);

@@ -532,10 +532,12 @@ fn a_moved_arm_shows_and_does_the_same() {
         ("NeedleRegrasp-v0", &[("base", &[0.055, 0.235, 0.85, -1.9]), ("table_height", &[0.673])]),
         ("EcmReach-v0", &[("base", &[-0.04, 0.01, 1.01, 0.5])]),
     ];
-    for (id, rows) in setups {
-        let options = Options::new().with("setup", table(rows));
-        let mut moved = Registry::builtin().make(id, &options).unwrap();
-        let mut nominal = Registry::builtin().make(id, &Options::new()).unwrap();
+    let models = ["classic", "si"];
+    for ((id, rows), model) in setups.into_iter().flat_map(|setup| models.map(|it| (setup, it))) {
+        let nominal = Options::new().with_text("arm", model);
+        let moved = nominal.clone().with("setup", table(rows));
+        let [mut moved, mut nominal] =
+            [moved, nominal].map(|options| Registry::builtin().make(id, &options).unwrap());
         // A block that is pressed onto the board moves the arm, and a needle between two pairs of jaws moves both,
         // by up to 2.5 mm. Rounding moves block and needle.
         let tolerance = match id {
@@ -549,7 +551,7 @@ fn a_moved_arm_shows_and_does_the_same() {
             for _ in 0..50 {
                 let (there, here) = (Seen::of(&moved), Seen::of(&nominal));
                 for (a, b) in there.observation[..3].iter().zip(&here.observation[..3]) {
-                    assert!((a - b).abs() < tolerance, "{id}: {there:?} for {here:?}");
+                    assert!((a - b).abs() < tolerance, "{id} {model}: {there:?} for {here:?}");
                 }
                 moved.step(&here.expert).unwrap();
                 nominal.step(&here.expert).unwrap();
@@ -564,7 +566,13 @@ fn a_moved_arm_shows_and_does_the_same() {
 fn a_moved_endoscope_still_levels_and_centres() {
     let base = table(&[("base", &[-0.03, 0.02, 1.02, 0.55])]);
     let options = Options::new().with("setup", base);
-    for id in ["MisOrient-v0", "StaticTrack-v0"] {
+    for (id, model) in [
+        ("MisOrient-v0", "classic"),
+        ("MisOrient-v0", "si"),
+        ("StaticTrack-v0", "classic"),
+        ("StaticTrack-v0", "si"),
+    ] {
+        let options = options.clone().with_text("arm", model);
         let mut env = Registry::builtin().make(id, &options).unwrap();
         for seed in 0..20 {
             env.reset(Some(seed));
@@ -572,8 +580,25 @@ fn a_moved_endoscope_still_levels_and_centres() {
             while !env.needs_reset() {
                 step = env.step(&Seen::of(&env).expert).unwrap();
             }
-            assert!(step.is_success, "{id}: {seed}");
+            assert!(step.is_success, "{id} {model}: {seed}");
         }
+    }
+}
+
+#[test]
+fn the_si_works_from_where_the_classic_does_not_reach() {
+    let high = table(&[("base", &[0.05, 0.24, 0.90, -1.92])]);
+    let options = Options::new().with("setup", high);
+    let classic = Registry::builtin().make("NeedlePick-v0", &options);
+    assert_eq!(classic.err().unwrap().field, "options.setup");
+    let mut env = make(&("NeedlePick-v0".into(), options.with_text("arm", "si")));
+    for seed in 0..10 {
+        env.reset(Some(seed));
+        let mut step = env.step(&Seen::of(&env).expert).unwrap();
+        while !env.needs_reset() {
+            step = env.step(&Seen::of(&env).expert).unwrap();
+        }
+        assert!(step.is_success, "{seed}");
     }
 }
 
@@ -598,6 +623,13 @@ fn what_cannot_be_made_is_refused_by_name() {
         let far = Options::new().with("setup", table(&[("base", &[3.0, 3.0, 3.0, 0.0])]));
         let refusal = refuse(&far);
         assert_eq!((refusal.code, refusal.field.as_str()), (Code::InvalidOption, "options.setup"));
+        let original = Options::new().with_text("preset", "surrol");
+        assert!(registry.make(id, &original.clone().with_text("arm", "classic")).is_ok());
+        let refusal = refuse(&original.with_text("arm", "si"));
+        assert_eq!((refusal.code, refusal.field.as_str()), (Code::InvalidOption, "options.arm"));
+        for part in ["\"si\"", "\"classic\"", "preset = \"surrol\""] {
+            assert!(refusal.to_string().contains(part), "{refusal}");
+        }
         let backwards = table(&[("latency", &[3.0, 1.0])]);
         let refusal = refuse(&Options::new().with("domain", backwards));
         assert_eq!(refusal.field, "options.domain.latency");

@@ -271,7 +271,7 @@ macro_rules! embedded {
     };
 }
 
-static EMBEDDED: [Embedded; 45] = embedded![
+static EMBEDDED: [Embedded; 51] = embedded![
     "block/meshes/block.obj"
     "cube/meshes/cube_100.obj"
     "cube/meshes/cube_80.obj"
@@ -314,6 +314,12 @@ static EMBEDDED: [Embedded; 45] = embedded![
     "psm/meshes/shaft_end.obj"
     "psm/meshes/yaw_body.obj"
     "psm/meshes/yaw_fork.obj"
+    "psm_si/meshes/back.obj"
+    "psm_si/meshes/cannula.obj"
+    "psm_si/meshes/cannula_mount.obj"
+    "psm_si/meshes/rail.obj"
+    "psm_si/meshes/rail_track.obj"
+    "psm_si/meshes/shaft.obj"
     "table/meshes/legs.obj"
     "table/meshes/top.obj"
     "tray/meshes/tray.obj"

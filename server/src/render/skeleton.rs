@@ -7,6 +7,7 @@ use urdf_rs::{JointType, Robot};
 
 use super::scene::Scene;
 use crate::assets::{self, ModelError, Visual};
+use crate::robots::ArmModel;
 use crate::sim::frames::Pose;
 
 /// A tree of links. Every joint turns about or slides along its z axis.
@@ -35,18 +36,28 @@ enum Drive {
 }
 
 impl Skeleton {
-    /// The PSM Classic with its Large Needle Driver.
-    pub fn psm() -> &'static Self {
-        static PSM: LazyLock<Skeleton> =
+    /// A PSM with its Large Needle Driver.
+    pub fn psm(model: ArmModel) -> &'static Self {
+        static CLASSIC: LazyLock<Skeleton> =
             LazyLock::new(|| Skeleton::read(include_str!("../../../assets/psm/model.urdf")));
-        &PSM
+        static SI: LazyLock<Skeleton> =
+            LazyLock::new(|| Skeleton::read(include_str!("../../../assets/psm_si/model.urdf")));
+        match model {
+            ArmModel::Classic => &CLASSIC,
+            ArmModel::Si => &SI,
+        }
     }
 
-    /// The ECM Classic with its straight endoscope.
-    pub fn ecm() -> &'static Self {
-        static ECM: LazyLock<Skeleton> =
+    /// An ECM with its straight endoscope.
+    pub fn ecm(model: ArmModel) -> &'static Self {
+        static CLASSIC: LazyLock<Skeleton> =
             LazyLock::new(|| Skeleton::read(include_str!("../../../assets/ecm/model.urdf")));
-        &ECM
+        static SI: LazyLock<Skeleton> =
+            LazyLock::new(|| Skeleton::read(include_str!("../../../assets/ecm_si/model.urdf")));
+        match model {
+            ArmModel::Classic => &CLASSIC,
+            ArmModel::Si => &SI,
+        }
     }
 
     /// An arm that is part of the program.
@@ -127,30 +138,55 @@ impl Skeleton {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::robots::{Ecm, Psm};
+    use crate::render::mesh::Form;
+    use crate::robots::{Ecm, Endoscope, Psm};
+
+    /// Values of an arm's joints by name, in the order of `q`.
+    fn named(q: &[f64]) -> impl Fn(&str) -> f64 {
+        let names = ["yaw", "pitch", "insertion", "roll", "wrist_pitch", "wrist_yaw"];
+        move |name| names.iter().zip(q).find(|(other, _)| **other == name).map_or(0.0, |(_, q)| *q)
+    }
+
+    /// Where a body of a scene is drawn, m.
+    fn place(scene: &Scene, name: &str) -> Vector3<f64> {
+        let body = scene.body(name).unwrap();
+        let found = scene.instances().iter().find(|each| each.body == body).unwrap();
+        found.world_from_mesh.translation.vector
+    }
 
     #[test]
     fn links_are_where_the_kinematics_have_them() {
         let base = Pose::translation(0.1, 0.2, 0.3);
         let q = [0.3, -0.2, 0.15, 0.5, 0.4, -0.6];
-        let names = ["yaw", "pitch", "insertion", "roll", "wrist_pitch", "wrist_yaw"];
-        let value =
-            |name: &str| names.iter().position(|other| *other == name).map_or(0.0, |at| q[at]);
-        let mut scene = Scene::default();
-        Skeleton::psm().draw(&mut scene, "psm1", &base, value, |_| None);
-        let at = |scene: &Scene, name: &str| {
-            let body = scene.body(name).unwrap();
-            scene.instances().iter().find(|each| each.body == body).unwrap().world_from_mesh
-        };
-        let wrist = base * Psm::CLASSIC.base_from_wrist(&q);
-        let axle = at(&scene, "psm1 wrist_yaw_link");
-        assert!((axle.translation.vector - wrist.translation.vector).norm() < 1e-9);
+        for model in [ArmModel::Classic, ArmModel::Si] {
+            let mut scene = Scene::default();
+            Skeleton::psm(model).draw(&mut scene, "psm1", &base, named(&q), |_| None);
+            let wrist = base * Psm::new(model).base_from_wrist(&q);
+            let axle = place(&scene, "psm1 wrist_yaw_link");
+            assert!((axle - wrist.translation.vector).norm() < 1e-9, "{model:?}");
+            // The shaft's frame tells the generations apart: it is as far back as the shaft is long.
+            let [_, _, insertion, ..] = Psm::new(model).base_from_links(&q);
+            let carriage = place(&scene, "psm1 insertion_link");
+            let expected = (base * insertion).translation.vector;
+            assert!((carriage - expected).norm() < 1e-9, "{model:?}");
 
-        let mut scene = Scene::default();
-        Skeleton::ecm().draw(&mut scene, "ecm", &base, value, |_| None);
-        let camera = base * Ecm::CLASSIC.base_from_camera(&[q[0], q[1], q[2], q[3]]);
-        let roll = at(&scene, "ecm roll_link");
-        assert!((roll.translation.vector - camera.translation.vector).norm() < 1e-9);
+            let mut scene = Scene::default();
+            Skeleton::ecm(model).draw(&mut scene, "ecm", &base, named(&q), |_| None);
+            let ecm = Ecm::new(model, Endoscope::Straight);
+            let camera = base * ecm.base_from_camera(&[q[0], q[1], q[2], q[3]]);
+            let roll = place(&scene, "ecm roll_link");
+            assert!((roll - camera.translation.vector).norm() < 1e-9, "{model:?}");
+        }
+    }
+
+    #[test]
+    fn nothing_of_an_arm_is_shown_as_its_collision_shapes() {
+        for model in [ArmModel::Classic, ArmModel::Si] {
+            let links = [Skeleton::psm(model), Skeleton::ecm(model)].map(|arm| &arm.links);
+            let mut visuals = links.into_iter().flatten().flat_map(|link| &link.visuals);
+            let is_mesh = |visual: &Visual| matches!(visual.form, Form::Embedded(_));
+            assert!(visuals.all(is_mesh), "{model:?}");
+        }
     }
 
     #[test]
@@ -158,7 +194,7 @@ mod tests {
         let there = Pose::translation(1.0, 2.0, 3.0);
         let mut scene = Scene::default();
         let jaw = |name: &str| (name == "jaw_1_link").then_some(there);
-        Skeleton::psm().draw(&mut scene, "psm1", &Pose::identity(), |_| 0.0, jaw);
+        Skeleton::psm(ArmModel::Classic).draw(&mut scene, "psm1", &Pose::identity(), |_| 0.0, jaw);
         let body = scene.body("psm1 jaw_1_link").unwrap();
         let found = scene.instances().iter().find(|each| each.body == body).unwrap();
         assert_eq!(found.world_from_mesh, there);

@@ -1,19 +1,10 @@
 //! The endoscopic camera manipulator (ECM): 4 joints and an endoscope.
 
-use crate::robots::JointLimit;
 use crate::robots::chain::{Chain, Link, SINGULAR, Twist, shaft_direction, yaw_pitch_of};
 use crate::robots::error::{IkError, check_limits, check_reach};
+use crate::robots::{ArmModel, JointLimit};
 use nalgebra::{Isometry3, Matrix3, SMatrix, Vector3};
 use std::f64::consts::{FRAC_PI_2, FRAC_PI_6};
-
-/// Generation of the arm.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum EcmModel {
-    /// First generation ("Classic").
-    Classic,
-    /// S and Si.
-    Si,
-}
 
 /// Where the endoscope looks, relative to its shaft.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -29,6 +20,7 @@ pub enum Endoscope {
 /// One ECM: constants only, so it is copied freely and shared by any number of environments.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Ecm {
+    model: ArmModel,
     chain: Chain<4>,
     endoscope: Endoscope,
 }
@@ -38,13 +30,13 @@ impl Ecm {
     pub const JOINTS: usize = 4;
 
     /// ECM Classic with a straight endoscope.
-    pub const CLASSIC: Self = Self::new(EcmModel::Classic, Endoscope::Straight);
+    pub const CLASSIC: Self = Self::new(ArmModel::Classic, Endoscope::Straight);
 
     /// ECM Si with a straight endoscope.
-    pub const SI: Self = Self::new(EcmModel::Si, Endoscope::Straight);
+    pub const SI: Self = Self::new(ArmModel::Si, Endoscope::Straight);
 
     /// The arm of one generation with one endoscope.
-    pub const fn new(model: EcmModel, endoscope: Endoscope) -> Self {
+    pub const fn new(model: ArmModel, endoscope: Endoscope) -> Self {
         let links = [
             Link::revolute(Twist::Plus, 0.0, FRAC_PI_2, 0.0),
             Link::revolute(Twist::Minus, 0.0, -FRAC_PI_2, 0.0),
@@ -52,20 +44,25 @@ impl Ecm {
             Link::revolute(Twist::None, 0.0, 0.0, 0.3829),
         ];
         let limits = match model {
-            EcmModel::Classic => [
+            ArmModel::Classic => [
                 turn("yaw", -FRAC_PI_2, FRAC_PI_2, 26.932_08),
                 turn("pitch", -0.767_94, 1.1344, 26.932_08),
                 slide(0.0, 0.255, 80.658_948_3),
                 turn("roll", -1.552, 1.552, 0.876_588_08),
             ],
-            EcmModel::Si => [
+            ArmModel::Si => [
                 turn("yaw", -2.964, 2.964, 17.0845),
                 turn("pitch", -1.10, 1.04, 34.0845),
                 slide(0.001, 0.259, 70.900),
                 turn("roll", -1.54, 1.54, 6.819_23),
             ],
         };
-        Self { chain: Chain { links, limits }, endoscope }
+        Self { model, chain: Chain { links, limits }, endoscope }
+    }
+
+    /// Which generation it is.
+    pub const fn model(&self) -> ArmModel {
+        self.model
     }
 
     /// The same arm with another endoscope.

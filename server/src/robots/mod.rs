@@ -29,6 +29,15 @@ pub mod error;
 pub mod psm;
 
 pub use chain::JointLimit;
-pub use ecm::{Ecm, EcmModel, Endoscope};
+pub use ecm::{Ecm, Endoscope};
 pub use error::IkError;
-pub use psm::{Psm, PsmModel};
+pub use psm::Psm;
+
+/// Generation of an arm.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum ArmModel {
+    /// First generation ("Classic").
+    Classic,
+    /// S and Si.
+    Si,
+}

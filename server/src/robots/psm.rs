@@ -5,11 +5,11 @@
 //! 9.1 mm apart. Two end frames are kept apart by name: the *wrist* frame on the wrist-yaw axis is
 //! dVRK's `measured_cp`; the *tip* frame lies at the end of the closed jaws.
 
-use crate::robots::JointLimit;
 use crate::robots::chain::{
     Chain, Link, SINGULAR, Twist, atan2, shaft_direction, sin_cos, yaw_pitch_of,
 };
 use crate::robots::error::{IkError, LIMIT_ROUNDING, check_limits, check_reach};
+use crate::robots::{ArmModel, JointLimit};
 use nalgebra::{Isometry3, Matrix3, Matrix6, Translation3, Vector3};
 use std::f64::consts::{FRAC_PI_2, TAU};
 
@@ -23,18 +23,10 @@ const LINK_FROM_WRIST: Matrix3<f64> = Matrix3::new(
     -1.0, 0.0, 0.0,
 );
 
-/// Generation of the arm, with its Large Needle Driver.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum PsmModel {
-    /// First generation ("Classic"), instrument 400006.
-    Classic,
-    /// S and Si, instrument 420006.
-    Si,
-}
-
 /// One PSM: constants only, so it is copied freely and shared by any number of environments.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Psm {
+    model: ArmModel,
     chain: Chain<6>,
     jaw: JointLimit,
 }
@@ -47,17 +39,17 @@ impl Psm {
     pub const TIP_DISTANCE: f64 = 0.0102;
 
     /// PSM Classic with Large Needle Driver 400006.
-    pub const CLASSIC: Self = Self::new(PsmModel::Classic);
+    pub const CLASSIC: Self = Self::new(ArmModel::Classic);
 
     /// PSM Si with Large Needle Driver 420006 (a longer shaft; equal joint values give the same
     /// pose as the Classic).
-    pub const SI: Self = Self::new(PsmModel::Si);
+    pub const SI: Self = Self::new(ArmModel::Si);
 
-    /// The arm of one generation.
-    pub const fn new(model: PsmModel) -> Self {
+    /// The arm of one generation, with its Large Needle Driver.
+    pub const fn new(model: ArmModel) -> Self {
         let (insertion_offset, roll_offset) = match model {
-            PsmModel::Classic => (-0.4318, 0.4162),
-            PsmModel::Si => (-0.4826, 0.4670),
+            ArmModel::Classic => (-0.4318, 0.4162),
+            ArmModel::Si => (-0.4826, 0.4670),
         };
         let links = [
             Link::revolute(Twist::Plus, 0.0, FRAC_PI_2, 0.0),
@@ -68,13 +60,13 @@ impl Psm {
             Link::revolute(Twist::Minus, PITCH_TO_YAW, -FRAC_PI_2, 0.0),
         ];
         let (yaw, pitch, insertion, jaw_min) = match model {
-            PsmModel::Classic => (
+            ArmModel::Classic => (
                 slow("yaw", -1.588, 1.588, 3.316_101),
                 slow("pitch", -0.925_025, 0.925_025, 3.316_101),
                 slide(0.24, 9.877_926),
                 -0.698_132,
             ),
-            PsmModel::Si => (
+            ArmModel::Si => (
                 slow("yaw", -2.964, 2.964, 17.0845),
                 slow("pitch", -1.265, 1.301, 17.0845),
                 slide(0.29, 40.9063),
@@ -89,7 +81,12 @@ impl Psm {
             fast("wrist_pitch", -1.396_26, 1.396_26, 0.25),
             fast("wrist_yaw", -1.396_26, 1.396_26, 0.20),
         ];
-        Self { chain: Chain { links, limits }, jaw: fast("jaw", jaw_min, 1.396_26, 0.16) }
+        Self { model, chain: Chain { links, limits }, jaw: fast("jaw", jaw_min, 1.396_26, 0.16) }
+    }
+
+    /// Which generation it is.
+    pub const fn model(&self) -> ArmModel {
+        self.model
     }
 
     /// The joints' limits in the order yaw, pitch, insertion, roll, wrist pitch, wrist yaw:

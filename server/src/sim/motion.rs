@@ -29,9 +29,6 @@ pub type Instruments<'a> = ArrayVec<&'a mut Instrument, MAX_INSTRUMENTS>;
 /// The profiles of a task's instruments.
 pub type Profiles = ArrayVec<Profile, MAX_INSTRUMENTS>;
 
-/// How far each of a task's instruments came.
-pub type Arrivals = ArrayVec<Arrival, MAX_INSTRUMENTS>;
-
 /// Where the instruments are to be.
 type Places = ArrayVec<Posture, MAX_INSTRUMENTS>;
 
@@ -94,14 +91,23 @@ pub struct Motion {
 
 impl Motion {
     /// A motion along profiles of `substeps` substeps, one for each instrument.
-    pub fn new(profiles: Profiles, substeps: u32) -> Self {
-        Self { ways: profiles.into_iter().map(Way::new).collect(), now: 0, substeps }
+    pub fn new(profiles: impl IntoIterator<Item = Profile>, substeps: u32) -> Self {
+        let mut motion = Self::default();
+        motion.begin(profiles, substeps);
+        motion
+    }
+
+    /// Begins another motion in place of this one.
+    pub fn begin(&mut self, profiles: impl IntoIterator<Item = Profile>, substeps: u32) {
+        (self.now, self.substeps) = (0, substeps);
+        self.ways.clear();
+        self.ways.extend(profiles.into_iter().map(Way::new));
     }
 
     /// A motion of instruments from `starts` through set-points that come one by one, see [`Self::push`].
     pub fn streamed(starts: impl IntoIterator<Item = Posture>) -> Self {
         let profile = |start: Posture| Profile::Streamed([start].into());
-        Self::new(starts.into_iter().map(profile).collect(), 0)
+        Self::new(starts.into_iter().map(profile), 0)
     }
 
     /// Adds a substep in which each instrument is to go to its set-point. One that was held up is as many
@@ -198,9 +204,9 @@ impl Motion {
         true
     }
 
-    /// How far the instruments came.
-    pub fn arrivals(&self) -> Arrivals {
-        let arrival = |way: &Way| {
+    /// How far the instruments came, one after the other.
+    pub fn arrivals(&self) -> impl Iterator<Item = Arrival> {
+        let arrival = move |way: &Way| {
             let (covered, aside) = (way.profile.covered(way.done, self.substeps), way.aside);
             let is_beside = aside != Vector3::zeros();
             Arrival {
@@ -208,7 +214,7 @@ impl Motion {
                 is_blocked: is_beside || way.done < self.now,
             }
         };
-        self.ways.iter().map(arrival).collect()
+        self.ways.iter().map(arrival)
     }
 }
 
@@ -232,10 +238,10 @@ pub fn carry_out<const N: usize>(
 ) -> [f64; N] {
     let starts = instruments.iter().map(|each| *each.posture());
     let profiles = starts.zip(ends).map(|(start, end)| Profile::Smoothstep { start, end });
-    let mut motion = Motion::new(profiles.collect(), substeps);
+    let mut motion = Motion::new(profiles, substeps);
     motion.pass(substeps, &mut instruments, world);
-    let arrivals = motion.arrivals();
-    std::array::from_fn(|index| arrivals[index].covered)
+    let mut covered = motion.arrivals().map(|arrival| arrival.covered);
+    std::array::from_fn(|_| covered.next().expect("as many as instruments"))
 }
 
 #[cfg(test)]

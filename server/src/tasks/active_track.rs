@@ -65,6 +65,8 @@
 //!   control law takes them (inferred from its expert). Not reproduced: pixels, the original's joint
 //!   limits and roll law (see [`static_track`](super::static_track)), its path, which does not go at
 //!   constant speed and shoves other cubes aside, and its end of an episode.
+//! - `arm = "si"`: the arm of the S and Si in place of the first generation's, see
+//!   [`ecm_scene`](super::ecm_scene); not with `preset = "surrol"`.
 //! - `domain`: `camera_pose_position` (m, up to 0.005 either way along each axis of the camera)
 //!   and `camera_pose_angle` (rad, up to 0.05 either way about each): where the camera really is,
 //!   seen from where the joint sensors have it, `observation_noise` (m, on observed positions),
@@ -153,6 +155,7 @@ impl Task for ActiveTrack {
             options::action(),
             options::observation_or_perceived(),
             options::preset(),
+            options::arm(),
             RATE.option(10.0),
             Sees::option(),
             options::domain_with(options::camera_rows(CAMERA_ANGLE)),

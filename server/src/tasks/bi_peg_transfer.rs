@@ -79,6 +79,8 @@
 //!   target.
 //! - `preset = "surrol"`: positions, goals and tolerances in units of 0.2 m (metres × 5), blocks of
 //!   10 g, gripped with 3 N instead of 1 N, `grasp = "weld"` unless given.
+//! - `arm = "si"`: the arms of the S and Si in place of the first generation's, see
+//!   [`psm_scene`](super::psm_scene); not with `preset = "surrol"`.
 //! - `domain`: `mass` (0.5 to 5; factor on the mass, besides what the size makes of it: stiffness
 //!   of contacts is per mass, so fingers sink into what is lighter), `size` (0.98 to 1.1; factor
 //!   on all lengths) of all blocks: a block below 0.966 that stands about its peg is more than 4
@@ -278,7 +280,7 @@ impl Task for BiPegTransfer {
     }
 
     fn scene(&self, world: &World, scene: &mut Scene) {
-        theatre::draw(scene);
+        theatre::draw(scene, self.arms[0].model());
         self.board.draw(world, &self.layout, scene);
         self.arms.iter().for_each(|arm| arm.draw(world, scene));
     }

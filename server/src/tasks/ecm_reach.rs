@@ -52,6 +52,8 @@
 //!
 //! - `preset = "surrol"`: angles of dVRK's own camera frame, about ±π for a straight arm, as in the
 //!   original.
+//! - `arm = "si"`: the arm of the S and Si in place of the first generation's, see
+//!   [`ecm_scene`](super::ecm_scene); not with `preset = "surrol"`.
 //! - `domain`: `camera_pose_position` (m, up to 0.005 either way along each axis of the camera: where it
 //!   really is, seen from where the joint sensors have it), `observation_noise` (m, on observed
 //!   positions), `joint_offset` (rad, on every rotary joint), `latency` (steps; the arm holds until the
@@ -122,6 +124,7 @@ impl Task for EcmReach {
             options::action(),
             options::observation(),
             options::preset(),
+            options::arm(),
             RATE.option(5.0),
             Sees::option(),
             options::domain_with([camera_position]),
@@ -217,13 +220,15 @@ mod tests {
 
     #[test]
     fn every_goal_is_reachable_at_once() {
-        let options = Options::new().resolve(&EcmReach::options()).unwrap();
-        let (task, _) = EcmReach::new(&options).unwrap();
-        for index in 0..11 * 11 * 11 {
-            let part = |divisor: usize| f64::from((index / divisor % 11) as u32) / 10.0;
-            let size = GOALS.max - GOALS.min;
-            let goal = GOALS.min + Vector3::new(part(1), part(11), part(121)).component_mul(&size);
-            assert!(task.arm.reaches(&goal), "{goal}");
+        for model in ["classic", "si"] {
+            let options = Options::new().with_text("arm", model);
+            let (task, _) = EcmReach::new(&options.resolve(&EcmReach::options()).unwrap()).unwrap();
+            for index in 0..11 * 11 * 11 {
+                let part = |divisor: usize| f64::from((index / divisor % 11) as u32) / 10.0;
+                let parts = Vector3::new(part(1), part(11), part(121));
+                let goal = GOALS.min + parts.component_mul(&(GOALS.max - GOALS.min));
+                assert!(task.arm.reaches(&goal), "{model}: {goal}");
+            }
         }
     }
 }

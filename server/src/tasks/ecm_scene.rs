@@ -5,6 +5,13 @@
 //! z axis points out along a straight endoscope. It is the nominal one, fixed in the world: where
 //! `setup` moves the base, actions and poses stay in the nominal frame, so a policy keeps working.
 //!
+//! # Arms
+//!
+//! `arm = "si"` puts the arm of the S and Si where the one of the first generation stands by default, with the
+//! same remote centre. Equal joints give the same view, and it looks the same. What differs are the limits of yaw
+//! (±169.8° instead of ±90°), pitch (−63.0° to 59.6° instead of −44.0° to 65.0°), insertion (1 to 259 mm instead of
+//! 0 to 255 mm) and roll (±88.2° instead of ±88.9°).
+//!
 //! # Actions
 //!
 //! Every action moves from the pose that the joint sensors report. A position that the arm cannot
@@ -48,7 +55,7 @@ use super::options::{self, ActionMode, Domain, Preset};
 use super::rate::Rate;
 use super::theatre;
 use crate::render::{Scene, Viewpoint};
-use crate::robots::{Ecm, JointLimit};
+use crate::robots::{Ecm, Endoscope, JointLimit};
 use crate::sim::frames::{self, Aabb, Pose};
 use crate::sim::random::Rng;
 
@@ -77,7 +84,7 @@ const STEP: f64 = 0.1;
 /// Joint movements that 1.0 stands for, rad; index 2 in m.
 const JOINT_STEPS: [f64; 4] = [0.06, 0.06, 0.01, STEP_ROLL];
 
-/// Base of the arm: x, y, z, m, and pitch, rad. Source: the original.
+/// Base of the arm of either generation: x, y, z, m, and pitch, rad. Source: the original.
 const BASE: [f64; 4] = [-0.05, 0.0, 1.0024, PI / 6.0];
 
 /// The remote centre of motion in the base, m; its axes are turned by −90° about z.
@@ -150,7 +157,8 @@ impl EcmArm {
             Some(&[x, y, z, pitch]) => [x, y, z, pitch],
             _ => BASE,
         };
-        let (kinematics, world_from_nominal) = (Ecm::CLASSIC, world_from_rcm(BASE));
+        let kinematics = Ecm::new(options::arm_of(options)?, Endoscope::Straight);
+        let world_from_nominal = world_from_rcm(BASE);
         Ok(Self {
             kinematics,
             control,
@@ -195,9 +203,10 @@ impl EcmArm {
         self.rcm_from_camera = self.sensed(&self.joints);
     }
 
-    /// Lets episodes start with these joints, rad; index 2 in m.
+    /// Lets episodes start with these joints, rad; index 2 in m, or with those nearest to them that it can take.
     pub fn start_with(&mut self, joints: &[f64; 4]) {
-        self.start = *joints;
+        let limits = self.kinematics.limits();
+        self.start = std::array::from_fn(|joint| limits[joint].clamp(joints[joint]));
     }
 
     /// Whether the camera looks at the ground in front of the natural line of sight's camera at the
@@ -258,7 +267,7 @@ impl EcmArm {
     pub fn draw(&self, scene: &mut Scene) {
         theatre::draw_tiles(scene);
         let joints = std::array::from_fn(|joint| self.joints[joint] + self.offsets[joint]);
-        theatre::draw_ecm(scene, &self.world_from_rcm, &joints);
+        theatre::draw_ecm(scene, &self.kinematics, &self.world_from_rcm, &joints);
         scene.look_through(&self.camera_with(&joints), false);
         scene.stage = Aabb::new([-0.8, -0.7, 0.0], [0.9, 0.7, 0.9]);
         scene.overview = Viewpoint::towards([1.75, -0.95, 1.45], [0.18, -0.02, 0.55], OVERVIEW);
@@ -621,16 +630,38 @@ mod tests {
 
     #[test]
     fn joints_stop_at_their_limits_under_a_velocity() {
-        let mut rng = Rng::new(4, 0);
-        let mut arm = arm(&Options::new(), Control::Velocity);
-        for _ in 0..40 {
-            let action: [f32; 3] = std::array::from_fn(|_| rng.uniform(-1.0, 1.0).signum() as f32);
-            for _ in 0..100 {
-                pass(&mut arm, &action);
-                let limits = arm.kinematics.limits();
-                assert!(arm.joints.iter().zip(limits).all(|(q, limit)| limit.contains(*q)));
+        for (model, kinematics) in [("classic", Ecm::CLASSIC), ("si", Ecm::SI)] {
+            let mut rng = Rng::new(4, 0);
+            let mut arm = arm(&Options::new().with_text("arm", model), Control::Velocity);
+            let mut stopped = [false; 4];
+            for _ in 0..40 {
+                let action: [f32; 3] =
+                    std::array::from_fn(|_| rng.uniform(-1.0, 1.0).signum() as f32);
+                for _ in 0..100 {
+                    pass(&mut arm, &action);
+                    for (joint, limit) in kinematics.limits().iter().enumerate() {
+                        let q = arm.joints[joint];
+                        assert!(limit.contains(q), "{model}: {q}");
+                        stopped[joint] |= q == limit.min || q == limit.max;
+                    }
+                }
             }
+            assert!(stopped[1] && stopped[2], "{model}: {stopped:?}");
         }
+    }
+
+    #[test]
+    fn equal_joints_of_either_generation_give_the_same_view_and_starts_are_within_its_limits() {
+        let [mut classic, mut si] = ["classic", "si"]
+            .map(|model| arm(&Options::new().with_text("arm", model), Control::Position));
+        assert_eq!(si.joints, classic.joints);
+        assert_eq!(si.world_from_camera(), classic.world_from_camera());
+        for arm in [&mut classic, &mut si] {
+            arm.start_with(&[0.5, -0.3, 0.0, -0.2]);
+            arm.reset(&mut Rng::new(0, 0));
+        }
+        assert_eq!(classic.joints, [0.5, -0.3, 0.0, -0.2]);
+        assert_eq!(si.joints, [0.5, -0.3, 0.001, -0.2]);
     }
 
     #[test]

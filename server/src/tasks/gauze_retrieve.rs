@@ -72,6 +72,8 @@
 //!   as its goal): one of 64 states that the expert made, with a new goal.
 //! - `preset = "surrol"`: positions, goals and tolerance in units of 0.2 m (metres × 5), gauze of
 //!   50 g, gripped with 3 N instead of 1 N, `spawn = "narrow"` and `grasp = "weld"` unless given.
+//! - `arm = "si"`: the arm of the S and Si in place of the first generation's, see
+//!   [`psm_scene`](super::psm_scene); not with `preset = "surrol"`.
 //! - `domain`: `mass` (0.5 to 5; factor on the mass, besides what the size makes of it: stiffness
 //!   of contacts is per mass, so fingers sink into what is lighter), `size` (0.8 to 1.2; factor on
 //!   all lengths) of the gauze, `friction` (coefficient of the jaws), `observation_noise` (m, on
@@ -241,7 +243,7 @@ impl Task for GauzeRetrieve {
     }
 
     fn scene(&self, world: &World, scene: &mut Scene) {
-        theatre::draw(scene);
+        theatre::draw(scene, self.arm.model());
         self.gauze.draw(world, scene);
         self.arm.draw(world, scene);
         scene.add_goal(&self.goal, theatre::GOAL_RADIUS);

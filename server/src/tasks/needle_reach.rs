@@ -60,6 +60,8 @@
 //!
 //! - `preset = "surrol"`: positions, goals and tolerance in units of 0.2 m (metres × 5), needle of
 //!   10 g, `spawn = "narrow"` unless given.
+//! - `arm = "si"`: the arm of the S and Si in place of the first generation's, see
+//!   [`psm_scene`](super::psm_scene); not with `preset = "surrol"`.
 //! - `domain`: `mass` (0.5 to 5; factor on the mass, besides what the size makes of it: stiffness
 //!   of contacts is per mass, so fingers sink into what is lighter), `size` (0.8 to 1.2; factor on
 //!   all lengths) of the needle, `observation_noise` (m, on observed positions), `joint_offset`
@@ -130,6 +132,7 @@ impl Task for NeedleReach {
             options::action(),
             options::observation(),
             options::preset(),
+            options::arm(),
             options::spawn(),
             RATE.option(5.0),
             Sees::option(),
@@ -217,7 +220,7 @@ impl Task for NeedleReach {
     }
 
     fn scene(&self, world: &World, scene: &mut Scene) {
-        theatre::draw(scene);
+        theatre::draw(scene, self.arm.model());
         tray::draw(scene);
         self.needle.draw(world, scene);
         self.arm.draw(world, scene);

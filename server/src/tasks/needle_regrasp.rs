@@ -78,6 +78,8 @@
 //!   `weld` a tie replaces friction as soon as both fingers touch; one arm at a time has it.
 //! - `preset = "surrol"`: positions, goals and tolerance in units of 0.2 m (metres × 5), needle of
 //!   10 g, gripped with 3 N instead of 0.4 N, `grasp = "weld"` unless given.
+//! - `arm = "si"`: the arms of the S and Si in place of the first generation's, see
+//!   [`psm_scene`](super::psm_scene); not with `preset = "surrol"`.
 //! - `domain`: `mass` (0.5 to 5; factor on the mass, besides what the size makes of it: stiffness
 //!   of contacts is per mass, so fingers sink into what is lighter), `size` (0.8 to 1.2; factor on
 //!   all lengths) of the needle, `observation_noise` (m, on observed positions), `friction` (of
@@ -299,7 +301,7 @@ impl Task for NeedleRegrasp {
     }
 
     fn scene(&self, world: &World, scene: &mut Scene) {
-        theatre::draw(scene);
+        theatre::draw(scene, self.arms[0].model());
         tray::draw(scene);
         self.needle.draw(world, scene);
         self.arms.iter().for_each(|arm| arm.draw(world, scene));

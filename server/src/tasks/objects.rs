@@ -79,6 +79,7 @@ pub fn options(
         options::action(),
         options::observation(),
         options::preset(),
+        options::arm(),
         RATE.option(5.0),
         Sees::option(),
     ];

@@ -7,6 +7,7 @@ use trocar_proto::spec::{Allowed, Element, ImageKind, OptionSpec, OptionValue, R
 use trocar_proto::{Code, Options, Rejection};
 
 use super::proprioception::Proprioception;
+use crate::robots::ArmModel;
 use crate::sim::frames::{self, Aabb, Pose};
 use crate::sim::grasp::GraspMode;
 use crate::sim::random::Rng;
@@ -245,6 +246,28 @@ pub fn preset() -> OptionSpec {
 /// The preset that resolved options ask for.
 pub fn preset_of(options: &Options) -> Preset {
     if options.text("preset") == Some("surrol") { Preset::Surrol } else { Preset::Paper }
+}
+
+/// `arm`: the generation of every arm of a task.
+pub fn arm() -> OptionSpec {
+    OptionSpec::choice(
+        "arm",
+        "Generation of the arms. classic: the first; si: the S and Si, with their joint limits and looks; the \
+         default setup is the same, since they reach all of it. Not with preset surrol.",
+        &["classic", "si"],
+    )
+}
+
+/// The generation that resolved options ask for.
+pub fn arm_of(options: &Options) -> Result<ArmModel, Rejection> {
+    if options.text("arm") != Some("si") {
+        return Ok(ArmModel::Classic);
+    }
+    if preset_of(options) == Preset::Surrol {
+        let allowed = "allowed is \"classic\", the original's arms, with preset = \"surrol\"";
+        return Err(Rejection::new(Code::InvalidOption, "options.arm", "\"si\"", allowed));
+    }
+    Ok(ArmModel::Si)
 }
 
 /// `spawn`: where objects and goals appear.

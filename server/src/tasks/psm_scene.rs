@@ -4,6 +4,14 @@
 //! Where `setup` moves the base or the table, the arm's base moves in the scene, while workspace,
 //! pad, actions and state stay: a policy keeps working.
 //!
+//! # Arms
+//!
+//! `arm = "si"` puts an arm of the S and Si where the one of the first generation stands by default, with
+//! the same remote centre. Equal joints bring the wrist to the same pose, and the jaws and all that they touch are
+//! the same. What differs: limits of yaw (±169.8° instead of ±91.0°), pitch (−72.5° to 74.5° instead of ±53.0°) and
+//! insertion (0.29 m instead of 0.24 m), which hold all of the first generation's; and what is drawn, a
+//! shaft and rail 50.8 mm longer.
+//!
 //! # Actions
 //!
 //! Every action moves from the pose that the joint sensors report. The resulting pose is confined:
@@ -29,7 +37,7 @@ use super::options::{self, ActionMode, Preset, Range};
 use super::rate::Rate;
 use crate::render::skeleton::Skeleton;
 use crate::render::{Jaws, Scene};
-use crate::robots::{JointLimit, Psm};
+use crate::robots::{ArmModel, JointLimit, Psm};
 use crate::sim::frames::{self, Aabb, Pose};
 use crate::sim::grasp::Grasp;
 use crate::sim::instrument::{self, Instrument, JAW_CLOSED, JAW_OPEN, Posture, TIP_OFFSET};
@@ -55,7 +63,7 @@ pub const MAX_STEPS: u32 = 50;
 /// Height of the table's top, m. Source: the original's table.
 pub const TABLE_HEIGHT: f64 = 0.675;
 
-/// Bases of PSM1 and PSM2: position, m, and turn about the vertical, rad. Source: the original.
+/// Bases of PSM1 and PSM2 of either generation: position, m, and turn about the vertical, rad. Source: the original.
 pub const BASES: [[f64; 4]; 2] =
     [[0.05, 0.24, 0.8524, -110.0 * DEGREE], [0.05, -0.24, 0.8524, -70.0 * DEGREE]];
 
@@ -231,7 +239,7 @@ impl PsmArm {
         let domain = options::Domain::of(options)?;
         let mut arm = Self {
             index: station.arm,
-            kinematics: Psm::CLASSIC,
+            kinematics: Psm::new(options::arm_of(options)?),
             scene_from_base,
             start,
             start_joints: [0.0; 6],
@@ -326,6 +334,11 @@ impl PsmArm {
         self.instrument.untie(world);
     }
 
+    /// Which generation it is.
+    pub fn model(&self) -> ArmModel {
+        self.kinematics.model()
+    }
+
     /// Where the wrist may go, m.
     pub fn reach(&self) -> &Aabb {
         &self.reach
@@ -415,7 +428,7 @@ impl PsmArm {
             asked: self.instrument.posture().jaw,
             pressures: self.instrument.pressures(world),
         });
-        Skeleton::psm().draw(scene, name, &self.scene_from_base, joint, elsewhere);
+        Skeleton::psm(self.model()).draw(scene, name, &self.scene_from_base, joint, elsewhere);
     }
 
     /// How far the shaft's end is from that of `other`, m; below 0 they overlap.
@@ -488,12 +501,13 @@ impl PsmArm {
     /// Takes note of how far the arm came.
     pub fn arrive(&mut self, arrival: Arrival) {
         let is_there = arrival.covered >= 1.0 && self.rate.is_nominal();
-        self.joints = if is_there {
-            self.commanded.joints
+        if is_there {
+            let Commanded { joints, scene_from_wrist, .. } = self.commanded;
+            (self.joints, self.scene_from_wrist) = (joints, scene_from_wrist);
         } else {
-            self.joints_where_it_is(&self.commanded.joints)
-        };
-        self.scene_from_wrist = self.pose_at(&self.joints);
+            self.joints = self.joints_where_it_is(&self.commanded.joints);
+            self.scene_from_wrist = self.pose_at(&self.joints);
+        }
         self.is_held_up = arrival.is_blocked;
         if arrival.is_blocked {
             let (joints, scene_from_wrist) = (self.joints, self.scene_from_wrist);

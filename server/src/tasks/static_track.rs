@@ -63,6 +63,8 @@
 //!   with the opposite sign, as the original's control law takes them (inferred from its expert);
 //!   number 9 is the roll rate of the original's law, 25 · θ*, rad/s. Not reproduced: pixels, dVRK's
 //!   limits instead of the original's, and the original's law itself, see below.
+//! - `arm = "si"`: the arm of the S and Si in place of the first generation's, see
+//!   [`ecm_scene`](super::ecm_scene); not with `preset = "surrol"`.
 //! - `domain`: `camera_pose_position` (m, up to 0.005 either way along each axis of the camera)
 //!   and `camera_pose_angle` (rad, up to 0.004 either way about each): where the camera really is,
 //!   seen from where the joint sensors have it (the law that levels the picture cannot know of it,
@@ -149,6 +151,7 @@ impl Task for StaticTrack {
             options::action(),
             options::observation_or_perceived(),
             options::preset(),
+            options::arm(),
             RATE.option(10.0),
             Sees::option(),
             options::domain_with(options::camera_rows(CAMERA_ANGLE)),

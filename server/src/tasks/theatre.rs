@@ -10,7 +10,7 @@ use crate::render::material::Material;
 use crate::render::mesh::Mesh;
 use crate::render::skeleton::Skeleton;
 use crate::render::{Scene, Viewpoint};
-use crate::robots::Ecm;
+use crate::robots::{ArmModel, Ecm, Endoscope};
 use crate::sim::frames::{self, Aabb, Pose};
 
 /// Radius of balls that mark goals, m.
@@ -29,26 +29,27 @@ const JOINTS: [f64; 4] = [0.0, 10.0 * std::f64::consts::PI / 180.0, 0.06, 0.0];
 const TILE: f64 = 0.25;
 const TILES: i32 = 6;
 
-/// Draws what is around the PSMs.
-pub fn draw(scene: &mut Scene) {
+/// Draws what is around PSMs of this generation; the endoscope's arm is of the same.
+pub fn draw(scene: &mut Scene, model: ArmModel) {
     scene.add_floor(0.0);
     tray::draw_table(scene);
     let [x, y, z] = RCM;
     let turn = frames::pose([0.0; 3], [0.0, 0.0, -std::f64::consts::FRAC_PI_2]);
     let world_from_rcm = frames::pose([x, y, z], [0.0, PITCH, 0.0]) * turn;
-    draw_ecm(scene, &world_from_rcm, &JOINTS);
-    scene.look_through(&(world_from_rcm * Ecm::CLASSIC.base_from_camera(&JOINTS)), true);
+    let ecm = Ecm::new(model, Endoscope::Straight);
+    draw_ecm(scene, &ecm, &world_from_rcm, &JOINTS);
+    scene.look_through(&(world_from_rcm * ecm.base_from_camera(&JOINTS)), true);
     scene.stage = Aabb::new([0.34, -0.22, 0.67], [0.72, 0.22, 0.80]);
     scene.overview = Viewpoint::towards([1.10, 0.62, 1.12], [0.52, 0.005, 0.785], 0.50);
 }
 
 /// Draws an ECM as `ecm`. `joints`: rad; index 2 in m.
-pub fn draw_ecm(scene: &mut Scene, world_from_rcm: &Pose, joints: &[f64; 4]) {
+pub fn draw_ecm(scene: &mut Scene, ecm: &Ecm, world_from_rcm: &Pose, joints: &[f64; 4]) {
     let joint = |name: &str| {
         let index = ["yaw", "pitch", "insertion", "roll"].iter().position(|other| *other == name);
         index.map_or(0.0, |index| joints[index])
     };
-    Skeleton::ecm().draw(scene, "ecm", world_from_rcm, joint, |_| None);
+    Skeleton::ecm(ecm.model()).draw(scene, "ecm", world_from_rcm, joint, |_| None);
 }
 
 /// Draws a floor at z = 0 with dark joints between square tiles, so that pictures of it have a direction.

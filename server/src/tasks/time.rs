@@ -21,8 +21,7 @@ impl Time {
         substeps: u32,
     ) {
         task.command(world, action);
-        let profiles = task.arms().iter().map(|arm| arm.profile().clone()).collect();
-        self.motion = Motion::new(profiles, substeps);
+        self.motion.begin(task.arms().iter().map(|arm| arm.profile().clone()), substeps);
     }
 
     /// Lets `substeps` pass, at most as many as are left of the motion.

@@ -21,25 +21,54 @@ fn arm(options: &Options) -> (World, PsmArm) {
 fn step(arm: &mut PsmArm, world: &mut World, action: &[f32]) {
     arm.command(Some(action));
     let substeps = arm.rate.substeps();
-    let mut motion = Motion::new([arm.profile.clone()].into_iter().collect(), substeps);
+    let mut motion = Motion::new([arm.profile.clone()], substeps);
     motion.pass(substeps, &mut [&mut arm.instrument], world);
-    arm.arrive(motion.arrivals()[0]);
+    arm.arrive(motion.arrivals().next().unwrap());
 }
 
 #[test]
 fn the_start_is_the_originals() {
-    let (world, arm) = arm(&Options::new());
-    // Joints that the original reports after its reset, to the digits it was read with.
-    let original = [0.2505, -0.0078, 0.1068, -0.3389, -0.0776, -0.2386];
-    for (found, expected) in arm.joints.iter().zip(original) {
-        assert!((found - expected).abs() < 2e-3, "{:?}", arm.joints);
+    for model in ["classic", "si"] {
+        let (world, arm) = arm(&Options::new().with_text("arm", model));
+        // Joints that the original reports after its reset, to the digits it was read with.
+        let original = [0.2505, -0.0078, 0.1068, -0.3389, -0.0776, -0.2386];
+        for (found, expected) in arm.joints.iter().zip(original) {
+            assert!((found - expected).abs() < 2e-3, "{model}: {:?}", arm.joints);
+        }
+        let mut seen = [0.0; PsmArm::OBSERVED];
+        arm.observe(&world, &mut seen);
+        let quarter = std::f32::consts::FRAC_PI_2;
+        let start = [0.5, 0.05, 0.7552, -quarter, 0.0, quarter, 0.0];
+        for (found, expected) in seen.iter().zip(start) {
+            assert!((found - expected).abs() < 1e-6, "{model}: {seen:?}");
+        }
     }
-    let mut seen = [0.0; PsmArm::OBSERVED];
-    arm.observe(&world, &mut seen);
-    let quarter = std::f32::consts::FRAC_PI_2;
-    for (found, expected) in seen.iter().zip([0.5, 0.05, 0.7552, -quarter, 0.0, quarter, 0.0]) {
-        assert!((found - expected).abs() < 1e-6, "{seen:?}");
+}
+
+#[test]
+fn the_si_goes_wherever_the_classic_goes_and_further() {
+    let far = [2.5, -1.2, 0.28, 0.0, 0.0, 0.0];
+    let [(_, classic), (_, si)] =
+        ["classic", "si"].map(|model| arm(&Options::new().with_text("arm", model)));
+    for (ours, theirs) in si.kinematics.limits().iter().zip(classic.kinematics.limits()) {
+        assert!(ours.min <= theirs.min && theirs.max <= ours.max, "{ours:?}");
     }
+    // Jaws straight down, at every corner of the reach, turned about the vertical as far as the Classic's.
+    for corner in si.reach.corners() {
+        for turn in -3..=3 {
+            let turn = Vector3::z() * (f64::from(turn) * STEP_ANGLE);
+            let place = Pose::from_parts(corner.coords.into(), down());
+            let place = moved(&place, Vector3::zeros(), turn);
+            let [ours, theirs] = [&si, &classic].map(|arm| arm.solve(&arm.confined(place)));
+            if let Some(theirs) = theirs {
+                let ours = ours.expect("what the Classic reaches");
+                assert!(ours.iter().zip(theirs).all(|(a, b)| (a - b).abs() < 1e-9), "{ours:?}");
+            }
+        }
+    }
+    let beyond = si.pose_at(&far);
+    let [ours, theirs] = [si, classic].map(|mut arm| arm.put(&beyond, JAW_CLOSED));
+    assert!(ours && !theirs, "only the Si reaches {far:?}");
 }
 
 #[test]
@@ -68,9 +97,10 @@ fn no_action_takes_the_jaws_below_their_clearance_or_out_of_reach() {
         "joint_offset".to_string(),
         vec![0.01, 0.02],
     )]));
-    for mode in ["paper", "cartesian", "cartesian_abs", "joint"] {
-        let options = Options::new().with_text("action", mode).with("domain", offset.clone());
-        let (mut world, mut arm) = arm(&options);
+    let modes = ["paper", "cartesian", "cartesian_abs", "joint"];
+    for (mode, model) in modes.into_iter().flat_map(|mode| [(mode, "classic"), (mode, "si")]) {
+        let options = Options::new().with_text("action", mode).with_text("arm", model);
+        let (mut world, mut arm) = arm(&options.with("domain", offset.clone()));
         let mut rng = Rng::new(1, 0);
         let count = arm.action_elements().len();
         let mut lowest = f64::INFINITY;
@@ -92,7 +122,7 @@ fn no_action_takes_the_jaws_below_their_clearance_or_out_of_reach() {
 }
 
 /// PSM1 or PSM2 where both hand over a needle, its jaws at this pitch.
-fn pitching_arm(arm: usize, pitch: f64) -> (World, PsmArm) {
+fn pitching_arm(model: &str, arm: usize, pitch: f64) -> (World, PsmArm) {
     let mut world = World::new(Solver::LIGHT);
     let paper = PaperAction { turn: Turn::Pitch, jaw: true };
     let side = [1.0, -1.0][arm];
@@ -101,7 +131,8 @@ fn pitching_arm(arm: usize, pitch: f64) -> (World, PsmArm) {
     let at = workspace.centre() + Vector3::z() * TIP_OFFSET;
     let start = Pose::from_parts(at.into(), pitched(arm, pitch));
     let station = Station { arm, workspace, start, support: pad().max.z, squeeze: None };
-    let mut arm = PsmArm::insert(&mut world, &Options::new(), paper, station).unwrap();
+    let options = Options::new().with_text("arm", model);
+    let mut arm = PsmArm::insert(&mut world, &options, paper, station).unwrap();
     arm.reset(&mut world, &mut Rng::new(0, 0));
     (world, arm)
 }
@@ -109,7 +140,7 @@ fn pitching_arm(arm: usize, pitch: f64) -> (World, PsmArm) {
 #[test]
 fn the_pitch_turns_jaws_about_themselves_within_a_quarter_turn() {
     for (index, [roll, yaw]) in PITCHED.into_iter().enumerate() {
-        let (mut world, mut arm) = pitching_arm(index, -FRAC_PI_2);
+        let (mut world, mut arm) = pitching_arm("classic", index, -FRAC_PI_2);
         let along = arm.scene_from_wrist().rotation * Vector3::z();
         assert!((along - Vector3::x()).norm() < 1e-12, "{along}");
         let mut seen = [0.0; PsmArm::OBSERVED];
@@ -134,8 +165,8 @@ fn the_pitch_turns_jaws_about_themselves_within_a_quarter_turn() {
 
 #[test]
 fn the_pitch_goes_far_enough_all_over_the_workspace() {
-    for index in 0..2 {
-        let (_, start) = pitching_arm(index, -FRAC_PI_2);
+    for (index, model) in [(0, "classic"), (1, "classic"), (0, "si"), (1, "si")] {
+        let (_, start) = pitching_arm(model, index, -FRAC_PI_2);
         for corner in start.reach.corners() {
             let mut arm = start.clone();
             let reached = (-6..=6).map(|step| f64::from(step) * STEP_PITCH).take_while(|pitch| {
@@ -146,7 +177,7 @@ fn the_pitch_goes_far_enough_all_over_the_workspace() {
             });
             // Further, the roll may end at its limit.
             let last = reached.last().expect("the start's pitch is reached");
-            assert!(last >= 60.0 * DEGREE - 1e-9, "PSM{} at {corner}: {last}", index + 1);
+            assert!(last >= 60.0 * DEGREE - 1e-9, "{model} PSM{} at {corner}: {last}", index + 1);
         }
     }
 }
