@@ -150,6 +150,8 @@ fn requests(tasks: &[&str]) -> Vec<ControlRequest> {
         ControlRequest::DropSnapshots { session: 1, node: client.node, snapshots: vec![1, 2] },
         ControlRequest::ExportSnapshot { session: 1, node: client.node, snapshot: 1 },
     ];
+    let (node, placement) = (client.node, placement());
+    requests.push(ControlRequest::ImportPlacement { session: 1, node, placement });
     requests.extend(tasks.iter().map(|task| {
         let bytes = recipe(task).to_bytes().expect("it is short");
         ControlRequest::ImportSnapshot { session: 1, node: client.node, bytes }
