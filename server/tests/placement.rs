@@ -334,9 +334,11 @@ fn snapshots_exports_and_recordings_of_arranged_episodes_come_again_bit_by_bit()
 
         let mut recorder = (Recorder::new(10), vec![]);
         let last = arranged(task, 27, Some(&mut recorder));
-        // The same seed again, as it is without being arranged.
+        // The same seed again, for as long, as it is without being arranged.
         let mut plain = begun(task, 7);
-        plain.step(&vec![0.0; plain.spec().action_dim()]).unwrap();
+        for _ in 0..27 {
+            plain.step(&vec![0.0; plain.spec().action_dim()]).unwrap();
+        }
         recorder.1.extend(recorder.0.before_leaving(&plain).unwrap());
         let courses = recording::read(&recorder.1).unwrap();
         assert_eq!(courses.iter().map(recording::Course::marks).collect::<Vec<_>>(), [3, 1]);
