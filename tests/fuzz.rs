@@ -58,7 +58,7 @@ fn hostile_data_messages_harm_nobody_else() {
     let (mut refused, mut done) = (0, 0);
     for _ in 0..count() {
         let mut header = Header {
-            kind: [kind::STEP, kind::RESET, rng.next_u32() % 6][rng.next_u32() as usize % 3],
+            kind: [kind::STEP, kind::RESET, rng.next_u32() % 9][rng.next_u32() as usize % 3],
             flags: rng.next_u32(),
             session: session.info().session,
             epoch: session.info().epoch,

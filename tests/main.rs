@@ -11,6 +11,7 @@
 //! | `images.rs` | pictures through a session |
 //! | `refusals.rs` | bad input is refused by name, and harms nobody |
 //! | `snapshots.rs` | snapshot, restore, fork; bytes that go to another server |
+//! | `placement.rs` | episodes that a reset arranges |
 //! | `reconnect.rs` | sessions that survive the loss of their server |
 //! | `operation.rs` | quotas, metrics, logs, an end in order |
 //! | `view.rs` | the live viewer |
@@ -31,6 +32,7 @@ mod lifecycle;
 mod namespaces;
 mod operation;
 mod parity;
+mod placement;
 mod reconnect;
 mod refusals;
 mod rows;

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::JoinHandle;
 
-use trocar_client::{Autoreset, Code, Options, SessionRequest};
+use trocar_client::{Autoreset, Code, Options, Placement, SessionRequest};
 use trocar_proto::TaskSpec;
 use trocar_server::{Env, Registry, Step, StepError};
 
@@ -50,6 +50,16 @@ impl Twin {
             show(env, None, None)
         };
         env_ids.iter().enumerate().map(reset).collect()
+    }
+
+    /// Lets the episodes of `env_ids`, which have only begun, begin as placements ask for.
+    pub(crate) fn arrange(&mut self, env_ids: &[u32], placements: &[Placement]) -> Vec<Row> {
+        let arrange = |(id, placement): (&u32, &Placement)| {
+            let env = &mut self.envs[*id as usize];
+            env.arrange(placement).expect("it is allowed");
+            show(env, None, None)
+        };
+        env_ids.iter().zip(placements).map(arrange).collect()
     }
 
     /// Lets `env_ids` go on from the environments `sources` of `other`.

@@ -1,5 +1,6 @@
 //! A session and its replies.
 
+use std::collections::BTreeMap;
 use std::iter::repeat_n;
 use std::sync::{Mutex, MutexGuard, PoisonError, TryLockError};
 
@@ -7,13 +8,16 @@ use numpy::{Element, PyArray1, PyArray2, PyArrayMethods};
 use pyo3::intern;
 use pyo3::prelude::*;
 use pyo3::types::{PyBytes, PyDict};
-use trocar_client::Code;
 use trocar_client::proto::spec::ImageKind;
+use trocar_client::{Code, Placement};
 
 use crate::array::{Part, check_shape, flags, matrix, pictures, with_numbers};
 use crate::snapshot::Snapshot;
 use crate::spec::TaskSpec;
 use crate::{error, wait};
+
+/// How an episode shall begin: goal, poses of objects by name, tips.
+type Wanted = (Option<Vec<f64>>, BTreeMap<String, Vec<f64>>, Option<Vec<f64>>);
 
 /// N environments of one task, which live in the server until this is closed.
 #[pyclass(frozen, weakref, module = "trocar._trocar")]
@@ -74,6 +78,24 @@ impl Session {
         self.exchange(py, |session| {
             session
                 .start_reset(env_ids.as_deref(), seeds.as_deref())
+                .map_err(|error| error::call(py, error))
+        })
+        .map(Reply::new)
+    }
+
+    /// Lets episodes that have only begun begin as placements (goal, objects, tip) ask for, and waits.
+    #[pyo3(signature = (placements, env_ids=None))]
+    fn arrange(
+        &self,
+        py: Python<'_>,
+        placements: Vec<Wanted>,
+        env_ids: Option<&Bound<'_, PyArray1<u32>>>,
+    ) -> PyResult<Reply> {
+        let env_ids = env_ids.map(listed).transpose()?;
+        let placement = |(goal, objects, tip)| Placement { goal, objects, tip };
+        let placements: Vec<_> = placements.into_iter().map(placement).collect();
+        self.exchange(py, |session| {
+            py.detach(|| session.start_arrange(env_ids.as_deref(), &placements))
                 .map_err(|error| error::call(py, error))
         })
         .map(Reply::new)

@@ -136,7 +136,7 @@ def test_wrong_reset_options(server: str) -> None:
     env = make("EcmReach-v0", server)
     envs = make_vec("EcmReach-v0", server, 2)
     envs.reset(seed=0)
-    with refused(ValueError, "options", "goal"):
+    with refused(ValueError, "options.goal", "expected numbers"):
         env.reset(options={"goal": 1})
     for options in (
         {"goal": 1},
@@ -144,7 +144,7 @@ def test_wrong_reset_options(server: str) -> None:
         {"reset_mask": np.array([False, False])},
         {"reset_mask": np.array([True])},
     ):
-        with refused(ValueError, "options", "expected|only one"):
+        with refused(ValueError, "options", "expected"):
             envs.reset(options=options)
     env.close()
     envs.close()

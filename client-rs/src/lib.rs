@@ -35,4 +35,4 @@ pub use session::Session;
 pub use snapshot::Snapshot;
 pub use trocar_proto as proto;
 pub use trocar_proto::control::{Autoreset, ServerStatus, SessionRequest};
-pub use trocar_proto::{Code, OptionValue, Options, Rejection, TaskSpec};
+pub use trocar_proto::{Code, OptionValue, Options, Placement, Rejection, TaskSpec};

@@ -8,7 +8,7 @@ use trocar_proto::control::{ControlReply, ControlRequest, SessionInfo, SessionRe
 use trocar_proto::wire::{
     Header, MAX_IN_FLIGHT, PictureLayout, ReplyLayout, RequestLayout, flag, kind,
 };
-use trocar_proto::{Code, Rejection, TaskSpec, snapshot};
+use trocar_proto::{Code, Placement, Rejection, TaskSpec, snapshot};
 
 use crate::client::{Client, unexpected};
 use crate::error::CallError;
@@ -121,6 +121,18 @@ impl Session {
         seeds: Option<&[u64]>,
     ) -> Result<Reply, CallError> {
         self.start_reset(Some(env_ids), seeds)?;
+        self.recv()
+    }
+
+    /// Lets the episodes of the environments `env_ids` (strictly increasing; all if `None`), in which no step was
+    /// taken, begin as placements ask for: the i-th as `placements[i]`, or all as the only one. The reply shows
+    /// where they are. What one of them refuses is done in none.
+    pub fn arrange(
+        &mut self,
+        env_ids: Option<&[u32]>,
+        placements: &[Placement],
+    ) -> Result<Reply, CallError> {
+        self.start_arrange(env_ids, placements)?;
         self.recv()
     }
 
@@ -251,6 +263,40 @@ impl Session {
             }
         }
         Ok(imported)
+    }
+
+    /// Starts an arrangement of the environments `env_ids` (all if `None`), as [`Self::arrange`] does. It first
+    /// brings the placements to the server, and waits for that.
+    pub fn start_arrange(
+        &mut self,
+        env_ids: Option<&[u32]>,
+        placements: &[Placement],
+    ) -> Result<(), CallError> {
+        let env_ids = self.check_env_ids(env_ids)?;
+        let rows = env_ids.len();
+        if placements.len() != 1 {
+            check_length("placements", placements.len(), rows, Code::InvalidOption)?;
+        }
+        placements.iter().try_for_each(Placement::check)?;
+        self.forget_dropped()?;
+        let (session, link) = (self.info.session, self.port.get()?.link());
+        let node = link.node_id();
+        // They are dropped with this, and the server told so once the request was answered.
+        let mut imported = Snapshot::new(&self.info, &[], &self.dropped);
+        for placement in placements {
+            let placement = placement.clone();
+            match link.call(&ControlRequest::ImportPlacement { session, node, placement })? {
+                ControlReply::Imported(number) => {
+                    imported.push(&Snapshot::new(&self.info, &[number], &self.dropped));
+                }
+                other => return Err(unexpected(&other)),
+            }
+        }
+        let numbers = imported.numbers_for(&self.info, rows)?;
+        let region = self.request_layout.numbers;
+        self.start(kind::ARRANGE, 0, env_ids.clone(), env_ids, |payload, rows| {
+            region.view_mut::<u64>(payload, rows).copy_from_slice(&numbers);
+        })
     }
 
     /// Starts a snapshot of the environments `env_ids` (all if `None`); the reply has it.

@@ -6,6 +6,7 @@ use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
 use crate::error::{Code, Rejection};
+use crate::placement::Placement;
 use crate::spec::{ImageSpec, Options, TaskSpec};
 
 /// Largest control message, bytes.
@@ -43,7 +44,7 @@ pub enum ControlRequest {
     Status,
     /// Ends the server.
     Shutdown,
-    /// Drops snapshots; those that are not there are no error.
+    /// Drops snapshots and placements; those that are not there are no error.
     DropSnapshots {
         /// The session that took them.
         session: u64,
@@ -86,6 +87,15 @@ pub enum ControlRequest {
         /// Which session.
         session: u64,
     },
+    /// Brings a placement into a session, for [`crate::wire::kind::ARRANGE`].
+    ImportPlacement {
+        /// The session that shall have it.
+        session: u64,
+        /// The client's transport node, as it introduced itself.
+        node: u128,
+        /// How episodes shall begin.
+        placement: Placement,
+    },
     /// Asks where the live viewer is; where there is none, one is started at a free port of 127.0.0.1.
     Viewer,
 }
@@ -107,6 +117,7 @@ impl ControlRequest {
             Self::Record { .. } => 21,
             Self::Recorded { .. } => 22,
             Self::Viewer => 23,
+            Self::ImportPlacement { .. } => 24,
         }
     }
 }
@@ -131,7 +142,8 @@ pub enum ControlReply {
     Refused(Rejection),
     /// To [`ControlRequest::ExportSnapshot`]: one part.
     Exported(Vec<u8>),
-    /// To [`ControlRequest::ImportSnapshot`]: the snapshot's number.
+    /// To [`ControlRequest::ImportSnapshot`] and [`ControlRequest::ImportPlacement`]: the number under which it
+    /// is kept until [`ControlRequest::DropSnapshots`].
     Imported(u64),
     /// To [`ControlRequest::Recorded`].
     Recorded {

@@ -12,6 +12,7 @@
 //! | [`spec`] | what a task looks like: actions, observations, goals, options |
 //! | [`goal`] | distance, success and reward as pure functions of goals |
 //! | [`stage`] | what a scripted expert is about |
+//! | [`placement`] | how an episode shall begin |
 //! | [`snapshot`] | the state of an environment as bytes |
 //! | [`error`] | refusals: the field, its value and what is allowed |
 //!
@@ -37,6 +38,7 @@ pub mod endpoint;
 pub mod error;
 pub mod goal;
 mod mapping;
+pub mod placement;
 pub mod sleep;
 pub mod snapshot;
 pub mod spec;
@@ -45,6 +47,7 @@ pub mod vigil;
 pub mod wire;
 
 pub use error::{Code, Rejection};
+pub use placement::Placement;
 pub use spec::{OptionValue, Options, TaskSpec};
 pub use stage::Stage;
 

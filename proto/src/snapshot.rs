@@ -1,7 +1,7 @@
 //! A snapshot as bytes: what led to the state of an environment, from which it is rebuilt.
 //!
-//! The same seed and actions give the same bits, so the seed of an episode, its number and the
-//! actions since its beginning *are* the state, in a few hundred bytes and without a word about how
+//! The same seed and actions give the same bits, so the seed of an episode, its number, the placement with
+//! which it began and the actions since *are* the state, in a few hundred bytes and without a word about how
 //! it is laid out in memory. Bytes from anywhere can then do no more harm than actions can. Whoever
 //! rebuilds a state compares its fingerprint with the one that was written down.
 //!
@@ -13,6 +13,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::control::{self, MAX_MESSAGE};
 use crate::error::{Code, Rejection};
+use crate::placement::Placement;
 use crate::spec::Options;
 
 /// Largest part of one environment, bytes: it travels in one control message.
@@ -37,6 +38,8 @@ pub struct Recipe {
     pub seed: u64,
     /// Number of the episode under that seed.
     pub episode: u64,
+    /// How it was made to begin.
+    pub placement: Placement,
     /// Actions since the episode began: (steps, action dim), row by row.
     pub actions: Vec<f32>,
     /// Stands for every bit of the state that must come of it.
@@ -163,6 +166,7 @@ mod tests {
             options: Options::new().with_text("reward", "dense"),
             seed: u64::MAX,
             episode: 3,
+            placement: Placement { goal: Some(vec![0.5; 3]), ..Placement::default() },
             actions: vec![0.25; 5 * steps],
             fingerprint: 7,
         }

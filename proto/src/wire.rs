@@ -37,6 +37,9 @@ pub mod kind {
     pub const FORK: u32 = 5;
     /// Draw one environment as the session's view shows it; the reply is a [`super::PictureLayout`].
     pub const RENDER: u32 = 6;
+    /// Let the episode of each of the listed environments, in which no step was taken, begin as the placement
+    /// of that row's number asks for. The reply is as for [`RESTORE`].
+    pub const ARRANGE: u32 = 7;
 }
 
 /// Bits of [`Header::flags`].

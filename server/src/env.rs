@@ -24,7 +24,7 @@ use nalgebra::Vector3;
 use trocar_proto::goal::Reward;
 use trocar_proto::snapshot::{self, Recipe};
 use trocar_proto::spec::Element;
-use trocar_proto::{Code, Options, Rejection, Stage, TaskSpec};
+use trocar_proto::{Code, Options, Placement, Rejection, Stage, TaskSpec};
 
 use crate::error::StepError;
 use crate::render::Scene;
@@ -37,6 +37,7 @@ use crate::tasks::start::Starts;
 use crate::tasks::time::Time;
 use crate::tasks::{AnyTask, rate};
 
+mod arrange;
 mod bounds;
 mod drive;
 mod imaging;
@@ -87,6 +88,8 @@ pub struct Env {
     world: World,
     seed: u64,
     episode: u64,
+    /// How the episode was made to begin.
+    placement: Placement,
     steps: u32,
     state: State,
     /// The step after which an object was seen to be lost, and said to be.
@@ -214,6 +217,7 @@ impl Env {
             world,
             seed: 0,
             episode: 0,
+            placement: Placement::default(),
             steps: 0,
             state: State::New,
             lost_at: None,
@@ -299,6 +303,7 @@ impl Env {
     fn begin(&mut self) {
         tracing::debug!(task = self.spec.id, self.seed, self.episode, "reset");
         self.steps = 0;
+        self.placement = Placement::default();
         self.seen.is_present = false;
         // Here, so that no step has to allocate.
         let dim = self.spec.action_dim();

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trocar import _trocar
+from trocar._reset import Placement
 from trocar.errors import (
     Closed,
     InvalidOption,
@@ -160,6 +161,12 @@ class Connection:
         if env_ids is None and seeds is not None:
             self._seeds = seeds
         return reply
+
+    def arrange(
+        self, env_ids: NDArray[np.uint32] | None, placements: list[Placement]
+    ) -> _trocar.Reply:
+        """Lets episodes that have only begun begin as placements ask for."""
+        return self._try(lambda session: session.arrange(placements, env_ids))
 
     def step(self, actions: Any) -> _trocar.Reply:
         """Steps all environments."""

@@ -5,7 +5,7 @@ Everything that waits lets other threads run, and Ctrl-C interrupts it. Exceptio
 """
 
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, Literal, final
 
 import numpy as np
@@ -113,6 +113,14 @@ class Session:
         self, env_ids: NDArray[np.uint32] | None = None, seeds: NDArray[np.uint64] | None = None
     ) -> Reply:
         """Resets environments and waits; with another request in flight it is refused."""
+    def arrange(
+        self,
+        placements: Sequence[
+            tuple[Sequence[float] | None, Mapping[str, Sequence[float]], Sequence[float] | None]
+        ],
+        env_ids: NDArray[np.uint32] | None = None,
+    ) -> Reply:
+        """Lets episodes that have only begun begin as placements ask for, and waits."""
     def step(self, actions: ArrayLike) -> Reply:
         """Steps all environments and waits; with another request in flight it is refused."""
     def send(self, actions: ArrayLike, env_ids: NDArray[np.uint32]) -> None:

@@ -26,6 +26,7 @@ from trocar._goal import (
     shown,
     view,
 )
+from trocar._reset import ResetOptions
 from trocar._window import Window
 from trocar.errors import InvalidOption, ResetNeeded, refuse
 from trocar.snapshot import Snapshot
@@ -118,6 +119,7 @@ class TrocarEnv(Described, GoalFunctions, gym.Env[Observation, NDArray[np.float3
             self._window = Window(self.task_spec.seconds_per_step)
         fps = {"render_fps": render_fps(self.task_spec)}
         self.metadata = {**type(self).metadata, **fps}  # type: ignore[misc]
+        self._reset_options = ResetOptions(self.task_spec, None)
         self.action_space = action_space(self.task_spec)
         self.observation_space = observation_space(self.task_spec)
 
@@ -129,15 +131,34 @@ class TrocarEnv(Described, GoalFunctions, gym.Env[Observation, NDArray[np.float3
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
-        """Begins the first episode of ``seed``, or without one the next episode."""
-        if options:
-            raise refuse(InvalidOption, "options", options, "no reset options are known")
+        """Begins the first episode of ``seed``, or without one the next episode.
+
+        Args:
+            seed: Whose first episode begins.
+            options: What shall be otherwise than the seed has it. Lengths are in m under every
+                preset, in the scene frame. A pose is three numbers, its position, or six: then also
+                roll, pitch and yaw (extrinsic XYZ Euler angles, rad). Names that are not listed
+                here are ignored, with one warning.
+
+                - ``goal``: the desired goal, a position.
+                - ``objects``: poses by name, ``{"needle": pose}``, of the objects' own frames. Each
+                  must rest where it is put; the settled state is where the episode begins.
+                - ``tip``: where the tip of the closed jaws is; the angles are the wrist link's, as
+                  observations show them. With two instruments, an array of two poses.
+
+        Raises:
+            ValueError: What ``options`` ask for cannot be; the message names it and says why. The
+                episode has begun as its seed has it.
+        """
+        placements = self._reset_options.placements(options)
         seeds = None
         if seed is not None:
             seed = check_seed(seed)
             seeds = np.array([seed], np.uint64)
         super().reset(seed=seed)
         begun = self._begun(self._connection.reset(None, seeds))
+        if placements:
+            begun = self._begun(self._connection.arrange(None, placements))
         if self._window is not None:
             self._window.begin(self._connection)
         return begun

@@ -28,6 +28,7 @@ from trocar._goal import (
     shown,
     view,
 )
+from trocar._reset import ResetOptions
 from trocar._window import Window
 from trocar.errors import InvalidEnvIds, InvalidOption, InvalidRequest, ResetNeeded, refuse
 from trocar.snapshot import Snapshot
@@ -120,6 +121,7 @@ class TrocarVectorEnv(
             allowed = f"allowed is {spec.max_steps}; make single environments to shorten episodes"
             raise refuse(InvalidOption, "max_episode_steps", max_episode_steps, allowed)
         self._copy = copy
+        self._reset_options = ResetOptions(spec, num_envs)
         self._latest = _Latest()
         self.num_envs = num_envs
         self.render_mode = render_mode
@@ -151,9 +153,14 @@ class TrocarVectorEnv(
             seed: ``s`` for the first episodes of ``s, s + 1, …``; a seed for each environment,
                 where ``None`` goes on to its next episode; or ``None`` for all of these.
             options: ``{"reset_mask": …}`` with a truth value for each environment resets only
-                those; the observations of the others are their latest.
+                those; the observations of the others are their latest. ``goal``, ``objects`` and
+                ``tip`` are as for :meth:`TrocarEnv.reset`: one value for all environments that are
+                reset, or an array of shape (num_envs, ...) with one for each. What one environment
+                refuses is done in none.
         """
         chosen = self._chosen(options)
+        env_ids = np.flatnonzero(chosen).astype(np.uint32)
+        placements = self._reset_options.placements(options, env_ids.tolist())
         seeds = self._seeds(seed)
         super().reset(seed=seed if isinstance(seed, int) else None)
         self._connection.abandon()
@@ -168,9 +175,11 @@ class TrocarVectorEnv(
             parts = [chosen & seeded, chosen & ~seeded]
         for part in parts:
             if part.any():
-                env_ids = np.flatnonzero(part).astype(np.uint32)
+                part_ids = np.flatnonzero(part).astype(np.uint32)
                 given = numbers[part] if seeded[part].all() else None
-                self._latest.part(self._connection.reset(env_ids, given))
+                self._latest.part(self._connection.reset(part_ids, given))
+        if placements:
+            self._latest.part(self._connection.arrange(env_ids, placements))
         if self._window is not None:
             self._window.begin(self._connection)
         return self._beginning(chosen)
@@ -334,10 +343,7 @@ class TrocarVectorEnv(
 
     def _chosen(self, options: dict[str, Any] | None) -> NDArray[np.bool_]:
         """Which environments a reset is about."""
-        options = dict(options or {})
-        mask = options.pop("reset_mask", None)
-        if options:
-            raise refuse(InvalidOption, "options", options, "the only one known is 'reset_mask'")
+        mask = (options or {}).get("reset_mask")
         if mask is None:
             return np.ones(self.num_envs, np.bool_)
         chosen = np.asarray(mask)

@@ -32,6 +32,7 @@ impl Env {
             options: (*self.options).clone(),
             seed: self.seed,
             episode: self.episode,
+            placement: self.placement.clone(),
             actions: self.taken.clone(),
             fingerprint: self.fingerprint(),
         })
@@ -97,6 +98,7 @@ impl Identity {
         {
             return refuse("options", format!("{name:?}"), "the task has no such option".into());
         }
+        recipe.placement.check()?;
         let (dim, count) = (self.spec.action_dim(), recipe.actions.len());
         let most = self.spec.max_steps as usize;
         if !count.is_multiple_of(dim) || count / dim > most {
@@ -118,6 +120,8 @@ pub(crate) struct Rebuild {
     /// Numbers of actions that were carried out; `None` before the episode has begun.
     done: Option<usize>,
     failed: bool,
+    /// Why the episode does not begin as it is said to have begun.
+    refused: Option<Rejection>,
 }
 
 impl Rebuild {
@@ -125,12 +129,12 @@ impl Rebuild {
     pub(crate) fn new(like: &Env, recipe: Recipe) -> Self {
         let mut env = like.clone();
         (env.seed, env.episode) = (recipe.seed, recipe.episode);
-        Self { env, recipe, done: None, failed: false }
+        Self { env, recipe, done: None, failed: false, refused: None }
     }
 
     /// Whether no step is left.
     pub(crate) fn is_done(&self) -> bool {
-        self.failed || self.done == Some(self.recipe.actions.len())
+        self.failed || self.refused.is_some() || self.done == Some(self.recipe.actions.len())
     }
 
     /// Begins, or carries out the next step, if one is left.
@@ -140,6 +144,7 @@ impl Rebuild {
         }
         let Some(done) = self.done else {
             self.env.begin();
+            self.refused = self.env.arrange(&self.recipe.placement).err();
             self.done = Some(0);
             return;
         };
@@ -152,6 +157,9 @@ impl Rebuild {
 
     /// The environment, if its state is the one that was exported.
     pub(crate) fn finish(self) -> Result<Env, Rejection> {
+        if let Some(refusal) = self.refused {
+            return Err(Rejection { code: Code::InvalidSnapshot, ..refusal });
+        }
         let found = self.env.fingerprint();
         if self.is_done() && !self.failed && found == self.recipe.fingerprint {
             return Ok(self.env);

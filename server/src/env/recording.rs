@@ -1,7 +1,7 @@
 //! Recordings: episodes of one environment as a file, from which they come again, bit by bit.
 //!
 //! A recording is exported snapshots one after another ([`trocar_proto::snapshot`]): of every episode one
-//! now and then, and one where it ended. Each has the task, its options, the seed and the actions since
+//! now and then, and one where it ended. Each has the task, its options, the seed, the placement and the actions since
 //! the episode began, which is all that the episode depends on, and a fingerprint of the state that came of it.
 //! So whoever plays a recording again sees at every snapshot whether it is still the same, bit by bit; and a
 //! trainer can import any of them and go on from there.
@@ -47,7 +47,10 @@ impl Recorder {
     /// What goes into the recording before the environment is reset or brought elsewhere: where its
     /// episode was left, unless that was taken already.
     pub fn before_leaving(&mut self, env: &Env) -> Option<Vec<u8>> {
-        (env.was_reset() && env.steps() > 0).then(|| self.take(env))?
+        let part = (env.was_reset() && env.steps() > 0).then(|| self.take(env))?;
+        // The same seed may come again and begin otherwise.
+        self.last = None;
+        part
     }
 
     fn take(&mut self, env: &Env) -> Option<Vec<u8>> {
@@ -118,7 +121,7 @@ pub fn read(bytes: &[u8]) -> Result<Vec<Course>, Rejection> {
 /// Whether `later` is of the same episode as `earlier`, further on.
 fn goes_on(earlier: &Recipe, later: &Recipe) -> bool {
     (earlier.seed, earlier.episode, &earlier.task) == (later.seed, later.episode, &later.task)
-        && earlier.options == later.options
+        && (&earlier.options, &earlier.placement) == (&later.options, &later.placement)
         && later.actions.starts_with(&earlier.actions)
 }
 
@@ -140,6 +143,7 @@ impl Replay {
         env.identity().check(recipe)?;
         (env.seed, env.episode) = (recipe.seed, recipe.episode);
         env.begin();
+        env.arrange(&recipe.placement)?;
         let mut replay = Self { env, course, done: 0, failed: false };
         replay.compare()?;
         Ok(replay)

@@ -4,7 +4,7 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use trocar_proto::control::{Autoreset, SessionRequest};
-use trocar_proto::{Code, Rejection, TaskSpec};
+use trocar_proto::{Code, Placement, Rejection, TaskSpec};
 
 use super::pile::Divisible;
 use super::rows::{Pictures, Rows};
@@ -97,6 +97,28 @@ impl Batch {
         let mut copies = vec![None; env_ids.len()];
         turn.run(Copying { envs: &self.envs, env_ids, copies: &mut copies }, COPY);
         Ok(copies.into_iter().flatten().collect())
+    }
+
+    /// For every row the state of its environment, whose episode has only begun, arranged by the placement of
+    /// that row.
+    pub(crate) fn arranged(
+        &self,
+        env_ids: &[u32],
+        placements: Vec<Arc<Placement>>,
+        turn: &mut Turn<'_>,
+    ) -> Result<Vec<Arc<Env>>, Rejection> {
+        let mut rows: Vec<_> = self.copies(env_ids, turn)?.into_iter().zip(placements).collect();
+        let mut refusals = vec![None; rows.len()];
+        turn.run(Arranging { rows: &mut rows, refusals: &mut refusals }, ARRANGED);
+        let refused =
+            refusals.into_iter().zip(env_ids).find_map(|(refusal, id)| Some((refusal?, id)));
+        match refused {
+            None => Ok(rows.into_iter().map(|(env, _)| env).collect()),
+            Some((refusal, _)) if self.envs.len() == 1 => Err(refusal),
+            Some((refusal, id)) => {
+                Err(Rejection { field: format!("{}[env {id}]", refusal.field), ..refusal })
+            }
+        }
     }
 
     /// For every row the state that the environment of that number is in now.
@@ -359,6 +381,9 @@ const WORTH_TIMING: Duration = Duration::from_micros(10);
 /// About the time that a copy takes.
 const COPY: Duration = Duration::from_micros(50);
 
+/// About the time that an object takes to come to rest.
+const ARRANGED: Duration = Duration::from_millis(2);
+
 /// About the time that a step of an environment that is rebuilt takes.
 const REBUILT: Duration = Duration::from_micros(300);
 
@@ -458,6 +483,30 @@ impl Divisible for Copying<'_> {
     fn run(self) {
         for (copy, id) in self.copies.iter_mut().zip(self.env_ids) {
             *copy = Some(Arc::new(self.envs[*id as usize].clone()));
+        }
+    }
+}
+
+/// Environments whose episodes are arranged.
+struct Arranging<'a> {
+    rows: &'a mut [(Arc<Env>, Arc<Placement>)],
+    refusals: &'a mut [Option<Rejection>],
+}
+
+impl Divisible for Arranging<'_> {
+    fn len(&self) -> usize {
+        self.rows.len()
+    }
+
+    fn split_at(self, at: usize) -> (Self, Self) {
+        let (rows, later_rows) = self.rows.split_at_mut(at);
+        let (refusals, later) = self.refusals.split_at_mut(at);
+        (Self { rows, refusals }, Self { rows: later_rows, refusals: later })
+    }
+
+    fn run(self) {
+        for ((env, placement), refusal) in self.rows.iter_mut().zip(self.refusals) {
+            *refusal = Arc::make_mut(env).arrange(placement).err();
         }
     }
 }

@@ -191,6 +191,10 @@ impl Host {
                 let number = self.session_of(session, node).and_then(|one| one.import(&bytes));
                 number.map_or_else(ControlReply::Refused, ControlReply::Imported)
             }
+            Answer::Place { session, node, placement } => {
+                let number = self.session_of(session, node).and_then(|one| one.place(placement));
+                number.map_or_else(ControlReply::Refused, ControlReply::Imported)
+            }
             Answer::Record { session, env, every } => {
                 let done = self.any_session(session).and_then(|one| one.record(env, every));
                 done.map_or_else(ControlReply::Refused, |()| ControlReply::Done)

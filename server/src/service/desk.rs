@@ -11,7 +11,7 @@ use trocar_proto::endpoint::{Endpoint, MAX_CLIENTS};
 use trocar_proto::wire::{
     Header, MAGIC, MAX_HELD_REPLIES, MAX_IN_FLIGHT, PictureLayout, ReplyLayout, RequestLayout,
 };
-use trocar_proto::{Code, PROTOCOL_VERSION, Rejection, TaskSpec};
+use trocar_proto::{Code, PROTOCOL_VERSION, Placement, Rejection, TaskSpec};
 
 use super::{ServeError, ServerConfig};
 use crate::tasks::Registry;
@@ -63,6 +63,15 @@ pub enum Answer {
         node: u128,
         /// What is said to be a snapshot.
         bytes: Vec<u8>,
+    },
+    /// Bring a placement, which was checked, into this session, if it belongs to this client's node.
+    Place {
+        /// Which session.
+        session: u64,
+        /// Who asked.
+        node: u128,
+        /// How episodes shall begin.
+        placement: Placement,
     },
     /// Begin to record an environment of a session, whoever opened it.
     Record {
@@ -280,6 +289,10 @@ impl Desk {
             }
             ControlRequest::ImportSnapshot { session, node, bytes } => {
                 Answer::Import { session, node, bytes }
+            }
+            ControlRequest::ImportPlacement { session, node, placement } => {
+                placement.check()?;
+                Answer::Place { session, node, placement }
             }
             ControlRequest::Record { session, env, every } => {
                 Answer::Record { session, env, every }

@@ -9,7 +9,7 @@ use std::time::{Duration, Instant};
 use hdrhistogram::Histogram;
 use trocar_proto::control::{ClientInfo, SessionStatus};
 use trocar_proto::snapshot::MAX_PART;
-use trocar_proto::{Code, Rejection};
+use trocar_proto::{Code, Placement, Rejection};
 
 use super::desk::Footprint;
 use super::gallery::Slot;
@@ -140,6 +140,11 @@ impl SessionHandle {
     /// Brings a snapshot into the session and gives its number.
     pub(super) fn import(&self, bytes: &[u8]) -> Result<u64, Rejection> {
         self.shared.with_store(|store| store.import(bytes))
+    }
+
+    /// Brings a placement into the session and gives its number.
+    pub(super) fn place(&self, placement: Placement) -> Result<u64, Rejection> {
+        self.shared.with_store(|store| store.place(placement))
     }
 
     /// Begins to record one of its environments, a state each `every` steps.

@@ -27,7 +27,7 @@ use super::meter::{Meter, TaskMeter};
 use super::ports::{self, DataPorts, Request};
 use super::rows::Rows;
 use super::scheduler::{Scheduler, Turn, need};
-use super::store::{Ledger, Saved, Store};
+use super::store::{self, Ledger, Saved, Store};
 use super::witness::{Failures, Tape, Witness};
 use crate::env::{Env, Imaging, Rebuild};
 use crate::tasks::Registry;
@@ -437,13 +437,20 @@ impl Session {
                 states = saved(&self.shared, &self.batch, numbers, turn)?;
                 Deed::Restore(&states)
             }
+            kind::ARRANGE => {
+                let placements = self.shared.with_store(|store| {
+                    numbers.iter().map(|number| store.placement(*number)).collect::<Result<_, _>>()
+                })?;
+                states = self.batch.arranged(env_ids, placements, turn)?;
+                Deed::Restore(&states)
+            }
             kind::FORK => {
                 states = self.batch.sources(numbers, turn)?;
                 Deed::Restore(&states)
             }
             other => {
-                let (first, last) = (kind::RESET, kind::RENDER);
-                let allowed = format!("allowed are {first} (reset) to {last} (render)");
+                let (first, last) = (kind::RESET, kind::ARRANGE);
+                let allowed = format!("allowed are {first} (reset) to {last} (arrange)");
                 return Err(malformed("header.kind", other.into(), allowed));
             }
         };
@@ -514,8 +521,12 @@ fn saved(
         shared.with_store(|store| numbers.iter().map(|number| store.get(*number)).collect())?;
     let mut recipes = BTreeMap::new();
     for (number, saved) in numbers.iter().zip(&found) {
-        if let Saved::Recipe(recipe) = saved {
-            recipes.insert(*number, Arc::clone(recipe));
+        match saved {
+            Saved::State(_) => {}
+            Saved::Recipe(recipe) => {
+                recipes.insert(*number, Arc::clone(recipe));
+            }
+            Saved::Placement(_) => return Err(store::no_state(*number)),
         }
     }
     let rebuilds = recipes.values().map(|recipe| Rebuild::new(batch.like(), (**recipe).clone()));
@@ -536,7 +547,7 @@ fn saved(
     })?;
     let state = |(number, saved): (&u64, Saved)| match saved {
         Saved::State(env) => env,
-        Saved::Recipe(_) => Arc::clone(&states[number]),
+        Saved::Recipe(_) | Saved::Placement(_) => Arc::clone(&states[number]),
     };
     Ok(numbers.iter().zip(found).map(state).collect())
 }

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use trocar_proto::snapshot::Recipe;
-use trocar_proto::{Code, Rejection};
+use trocar_proto::{Code, Placement, Rejection};
 
 use crate::env::{Env, Identity};
 
@@ -101,6 +101,8 @@ pub(super) enum Saved {
     State(Arc<Env>),
     /// An imported one, which was checked and not needed yet.
     Recipe(Arc<Recipe>),
+    /// No state, but how an episode shall begin.
+    Placement(Arc<Placement>),
 }
 
 /// The snapshots of one session; they end with it.
@@ -153,6 +155,22 @@ impl Store {
         })
     }
 
+    /// Keeps how episodes shall begin, and gives the number under which.
+    pub(super) fn place(&mut self, placement: Placement) -> Result<u64, Rejection> {
+        let mut room = self.make_room(1)?;
+        Ok(self.put(&mut room, Saved::Placement(Arc::new(placement))))
+    }
+
+    /// How episodes shall begin that are to be as the placement of this number.
+    pub(super) fn placement(&self, number: u64) -> Result<Arc<Placement>, Rejection> {
+        match self.get(number)? {
+            Saved::Placement(placement) => Ok(placement),
+            _ => {
+                Err(Rejection::new(Code::UnknownSnapshot, "placement", number, "it is a snapshot"))
+            }
+        }
+    }
+
     /// Drops a snapshot, if it is there.
     pub(super) fn forget(&mut self, number: u64) {
         if self.saved.remove(&number).is_some() {
@@ -165,6 +183,7 @@ impl Store {
         match self.get(number)? {
             Saved::State(env) => env.export(),
             Saved::Recipe(recipe) => recipe.to_bytes(),
+            Saved::Placement(_) => Err(no_state(number)),
         }
     }
 
@@ -182,6 +201,11 @@ impl Drop for Store {
     fn drop(&mut self) {
         self.ledger.give_back(self.saved.len() as u64 * self.each);
     }
+}
+
+/// The refusal of a placement where a snapshot was expected.
+pub(super) fn no_state(number: u64) -> Rejection {
+    Rejection::new(Code::UnknownSnapshot, "snapshot", number, "it is a placement, and no state")
 }
 
 /// Room for snapshots; what is not filled is given back.
@@ -245,6 +269,20 @@ mod tests {
         assert!(refusal.allowed.contains("serve --memory"), "{refusal}");
         drop(room);
         assert_eq!((whole.snapshots(), client.snapshots(), other.snapshots()), (0, 0, 0));
+    }
+
+    #[test]
+    fn a_placement_is_counted_and_no_state() {
+        let ledger = Arc::new(Ledger::new(2 * Env::MEMORY_BYTES));
+        let (mut store, env) = store(&ledger);
+        let number = store.place(Placement::default()).unwrap();
+        assert!(store.placement(number).unwrap().is_empty());
+        assert_eq!(store.export(number).unwrap_err().code, Code::UnknownSnapshot);
+        let state = store.import(&env.export().unwrap()).unwrap();
+        assert_eq!(store.placement(state).unwrap_err().code, Code::UnknownSnapshot);
+        assert_eq!(store.place(Placement::default()).unwrap_err().code, Code::MemoryBudget);
+        store.forget(number);
+        assert_eq!(ledger.snapshots(), Env::MEMORY_BYTES);
     }
 
     #[test]

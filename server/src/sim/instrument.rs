@@ -323,6 +323,20 @@ impl Instrument {
         self.place(next);
     }
 
+    /// Takes it out of all that happens, until it moves.
+    pub(crate) fn withdraw(&mut self, world: &mut World) {
+        self.pass(world, self.posture);
+    }
+
+    /// How deep it is, where it was put, in objects and in what is fixed, m.
+    pub(crate) fn deepest_overlap(&self, world: &World) -> f64 {
+        let (mut own, mut world) = (self.clone(), world.clone());
+        own.put_bodies(&mut world);
+        let overlaps =
+            own.bodies().map(|body| world.overlap(body, |other| world.is_fixed_or_free(other)));
+        overlaps.into_iter().fold(0.0, f64::max)
+    }
+
     fn bodies(&self) -> [BodyId; 3] {
         let [left, right] = self.finger_bodies();
         [self.wrist, left, right]

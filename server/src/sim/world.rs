@@ -21,6 +21,7 @@ mod hinge;
 mod inertia;
 mod non_rigid;
 mod points;
+mod rest;
 mod rolling;
 #[cfg(test)]
 mod tests;

@@ -130,7 +130,7 @@ use crate::sim::frames::{Aabb, Pose};
 use crate::sim::grasp::{Grasp, GraspMode};
 use crate::sim::instrument::{JAW_OPEN, TIP_OFFSET};
 use crate::sim::random::Rng;
-use crate::sim::world::World;
+use crate::sim::world::{BodyId, World};
 
 /// Number of blocks. Source: the original.
 const BLOCKS: usize = 6;
@@ -244,6 +244,15 @@ impl Task for BiPegTransfer {
         } else {
             self.begin(world, rng);
         }
+    }
+
+    fn objects(&self) -> Vec<(&'static str, BodyId)> {
+        self.board.named(&self.layout)
+    }
+
+    fn set_goal(&mut self, goal: &Vector3<f64>) -> Result<(), Rejection> {
+        self.layout.target = PegBoard::target_at(goal)?;
+        Ok(())
     }
 
     fn command(&mut self, world: &mut World, action: Option<&[f32]>) {

@@ -81,6 +81,7 @@ use trocar_proto::{Options, Rejection, TaskSpec};
 use super::Task;
 use super::ecm_scene::{Control, EcmArm, RATE, STEP_LENGTH};
 use super::expert::{ExpertInput, Sees};
+use super::goal;
 use super::options::{self, Preset};
 use crate::render::Scene;
 use crate::sim::frames::Aabb;
@@ -174,6 +175,14 @@ impl Task for EcmReach {
             }
         };
         self.arm.reset(rng);
+    }
+
+    fn set_goal(&mut self, goal: &Vector3<f64>) -> Result<(), Rejection> {
+        if !self.arm.reaches(goal) {
+            return Err(goal::refuse(goal, "the arm does not reach it"));
+        }
+        self.goal = *goal;
+        Ok(())
     }
 
     fn command(&mut self, _: &mut World, action: Option<&[f32]>) {

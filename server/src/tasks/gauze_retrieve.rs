@@ -117,7 +117,7 @@ use crate::sim::frames::Pose;
 use crate::sim::grasp::Grasp;
 use crate::sim::instrument::TIP_OFFSET;
 use crate::sim::random::Rng;
-use crate::sim::world::World;
+use crate::sim::world::{BodyId, World};
 
 /// Height of the tip over the sheet beside the pleat when the jaws close, m: they must not press on
 /// it.
@@ -210,6 +210,16 @@ impl Task for GauzeRetrieve {
         } else {
             self.begin(world, rng);
         }
+    }
+
+    fn objects(&self) -> Vec<(&'static str, BodyId)> {
+        vec![("gauze", self.gauze.body())]
+    }
+
+    fn set_goal(&mut self, goal: &Vector3<f64>) -> Result<(), Rejection> {
+        self.arm.check_goal(goal)?;
+        self.goal = *goal;
+        Ok(())
     }
 
     fn command(&mut self, world: &mut World, action: Option<&[f32]>) {

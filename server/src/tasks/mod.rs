@@ -16,6 +16,7 @@
 //! A task of one's own implements [`Task`] and is added by [`Registry::register`].
 
 use arrayvec::ArrayVec;
+use nalgebra::Vector3;
 use trocar_proto::spec::OptionSpec;
 use trocar_proto::{Code, Options, Rejection, Stage, TaskSpec};
 
@@ -28,7 +29,7 @@ use crate::render::Scene;
 use crate::sim::frames::Aabb;
 use crate::sim::motion::MAX_INSTRUMENTS;
 use crate::sim::random::Rng;
-use crate::sim::world::World;
+use crate::sim::world::{BodyId, World};
 
 pub mod active_track;
 pub mod bi_peg_transfer;
@@ -39,6 +40,7 @@ pub mod ecm_scene;
 pub mod expert;
 pub mod gauze;
 pub mod gauze_retrieve;
+pub mod goal;
 pub mod mis_orient;
 pub mod needle_pick;
 pub mod needle_reach;
@@ -94,6 +96,21 @@ pub trait Task: Clone + Send + Sync + 'static {
 
     /// Begins an episode in a copy of the world, or in one of the prepared states.
     fn reset(&mut self, world: &mut World, rng: &mut Rng);
+
+    /// The objects that a reset may place, by name.
+    fn objects(&self) -> Vec<(&'static str, BodyId)> {
+        vec![]
+    }
+
+    /// Takes note that objects were placed anew.
+    fn objects_placed(&mut self, world: &World) {
+        let _ = world;
+    }
+
+    /// Sets the desired goal of the episode, a position (m), or says why it cannot be that.
+    fn set_goal(&mut self, goal: &Vector3<f64>) -> Result<(), Rejection> {
+        Err(goal::refuse(goal, "the goal of this task cannot be set"))
+    }
 
     /// Takes a command, numbers in [−1, 1]: says where the arms are to go, and lets no time pass. `None` where
     /// no command has arrived yet: then the arms hold.
@@ -311,6 +328,9 @@ pub(crate) trait AnyTask: Send + Sync {
     fn begins_prepared(&self) -> bool;
     fn prepare(&mut self, world: &mut World, rng: &mut Rng);
     fn reset(&mut self, world: &mut World, rng: &mut Rng);
+    fn objects(&self) -> Vec<(&'static str, BodyId)>;
+    fn objects_placed(&mut self, world: &World);
+    fn set_goal(&mut self, goal: &Vector3<f64>) -> Result<(), Rejection>;
     fn command(&mut self, world: &mut World, action: Option<&[f32]>);
     fn arms(&mut self) -> Arms<'_>;
     fn endoscope(&mut self) -> Option<&mut EcmArm>;
@@ -347,6 +367,18 @@ impl<T: Task> AnyTask for T {
 
     fn reset(&mut self, world: &mut World, rng: &mut Rng) {
         Task::reset(self, world, rng);
+    }
+
+    fn objects(&self) -> Vec<(&'static str, BodyId)> {
+        Task::objects(self)
+    }
+
+    fn objects_placed(&mut self, world: &World) {
+        Task::objects_placed(self, world);
+    }
+
+    fn set_goal(&mut self, goal: &Vector3<f64>) -> Result<(), Rejection> {
+        Task::set_goal(self, goal)
     }
 
     fn command(&mut self, world: &mut World, action: Option<&[f32]>) {

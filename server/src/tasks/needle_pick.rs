@@ -115,7 +115,7 @@ use crate::sim::frames::Pose;
 use crate::sim::grasp::Grasp;
 use crate::sim::instrument::TIP_OFFSET;
 use crate::sim::random::Rng;
-use crate::sim::world::World;
+use crate::sim::world::{BodyId, World};
 
 /// How far the tip reaches below the middle of the wire when the jaws close, m, for a needle of size
 /// 1: the finger's end is then as far above the pad as it may be.
@@ -211,6 +211,16 @@ impl Task for NeedlePick {
         } else {
             self.begin(world, rng);
         }
+    }
+
+    fn objects(&self) -> Vec<(&'static str, BodyId)> {
+        vec![("needle", self.needle.body())]
+    }
+
+    fn set_goal(&mut self, goal: &Vector3<f64>) -> Result<(), Rejection> {
+        self.arm.check_goal(goal)?;
+        self.goal = *goal;
+        Ok(())
     }
 
     fn command(&mut self, world: &mut World, action: Option<&[f32]>) {

@@ -99,7 +99,7 @@ use crate::render::Scene;
 use crate::sim::frames::Pose;
 use crate::sim::instrument::{JAW_CLOSED, TIP_OFFSET};
 use crate::sim::random::Rng;
-use crate::sim::world::World;
+use crate::sim::world::{BodyId, World};
 
 /// Height of the goal above the middle of the needle, m. Source: the original.
 const GOAL_HEIGHT: f64 = 0.005;
@@ -190,9 +190,23 @@ impl Task for NeedleReach {
         } else {
             self.needle.lay_anywhere(world, rng);
         }
+        self.objects_placed(world);
+        self.arm.reset(world, rng);
+    }
+
+    fn objects(&self) -> Vec<(&'static str, BodyId)> {
+        vec![("needle", self.needle.body())]
+    }
+
+    fn objects_placed(&mut self, world: &World) {
         let middle = self.needle.scene_from_middle(world).translation.vector;
         self.goal = middle + Vector3::z() * GOAL_HEIGHT;
-        self.arm.reset(world, rng);
+    }
+
+    fn set_goal(&mut self, goal: &Vector3<f64>) -> Result<(), Rejection> {
+        self.arm.check_goal(goal)?;
+        self.goal = *goal;
+        Ok(())
     }
 
     fn command(&mut self, _: &mut World, action: Option<&[f32]>) {

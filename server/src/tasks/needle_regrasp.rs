@@ -118,7 +118,6 @@ use trocar_proto::{Options, Rejection, Stage, TaskSpec};
 
 use super::bimanual::{self, HandOver, Phase, Waypoint};
 use super::expert::{ArmView, ExpertInput};
-use super::objects;
 use super::options::{self, Preset};
 use super::psm_scene::{
     self, MAX_STEPS, PITCH_LIMIT, PaperAction, PsmArm, Station, Turn, pitch_across, pitched,
@@ -126,6 +125,7 @@ use super::psm_scene::{
 use super::theatre;
 use super::tray::{self, Needle};
 use super::{Arms, Task, time};
+use super::{goal, objects};
 use crate::render::Scene;
 use crate::sim::frames::{self, Aabb, Pose};
 use crate::sim::grasp::{Grasp, GraspMode};
@@ -269,6 +269,12 @@ impl Task for NeedleRegrasp {
         let spread = Vector3::from_fn(|_, _| GOAL_SPREAD * rng.normal());
         let centre = WORKSPACES[1].centre() + Vector3::z() * TIP_OFFSET;
         self.goal = self.goals().clamp(&(centre + spread));
+    }
+
+    fn set_goal(&mut self, goal: &Vector3<f64>) -> Result<(), Rejection> {
+        goal::check(goal, &self.goals(), "where PSM2 brings the needle, and PSM1 cannot")?;
+        self.goal = *goal;
+        Ok(())
     }
 
     fn command(&mut self, world: &mut World, action: Option<&[f32]>) {

@@ -4,9 +4,11 @@
 use std::f64::consts::PI;
 
 use nalgebra::Vector3;
+use trocar_proto::Rejection;
 use trocar_proto::goal::SuccessRule;
 use trocar_proto::spec::GoalSpec;
 
+use super::goal;
 use super::objects::{self, Object, THEATRE};
 use super::options::{self, Domain, Preset};
 use super::tray;
@@ -41,6 +43,13 @@ const OTHERS: [[f32; 3]; 5] = [
     [0.20, 0.62, 0.60],
     [0.80, 0.42, 0.30],
 ];
+
+/// Names of the blocks that stay.
+const OTHER_NAMES: [&str; 5] =
+    ["other block 1", "other block 2", "other block 3", "other block 4", "other block 5"];
+
+/// How far a goal that is asked for may be from the middle of its peg, m.
+const AT_PEG: f64 = 1e-3;
 
 /// A block in the world: a triangular ring.
 #[derive(Debug, Clone, Copy)]
@@ -173,14 +182,25 @@ impl PegBoard {
         &self.blocks
     }
 
+    /// The blocks by name: the one of `layout` as `block`, then the others, as they are drawn.
+    pub fn named(&self, layout: &Layout) -> Vec<(&'static str, BodyId)> {
+        let others = self.others(layout).map(|(name, block)| (name, block.body()));
+        [("block", layout.block.body())].into_iter().chain(others).collect()
+    }
+
+    /// The blocks that stay, by name.
+    fn others(&self, layout: &Layout) -> impl Iterator<Item = (&'static str, &Block)> {
+        let block = layout.block.body();
+        OTHER_NAMES.into_iter().zip(self.blocks.iter().filter(move |other| other.body() != block))
+    }
+
     /// Draws the board and its blocks: the one of `layout` as `block`, in its own colour, and a ring about
     /// the peg to which it is to go.
     pub fn draw(&self, world: &World, layout: &Layout, scene: &mut Scene) {
         scene.add_model("board", Model::pegboard(), &frames::pose(ORIGIN, [0.0; 3]));
         layout.block.0.draw(world, "block", scene);
-        let others = self.blocks.iter().filter(|block| block.body() != layout.block.body());
-        for (number, (block, colour)) in others.zip(OTHERS).enumerate() {
-            scene.begin(format!("other block {}", number + 1));
+        for ((name, block), colour) in self.others(layout).zip(OTHERS) {
+            scene.begin(name);
             let at = world.pose(block.body());
             scene.draw_scaled(block.0.form(), &at, |material| material.coloured(colour));
         }
@@ -208,6 +228,20 @@ impl PegBoard {
     /// A peg drawn from the targets.
     pub fn draw_target(rng: &mut Rng) -> usize {
         TARGETS.start + rng.index(TARGETS.len())
+    }
+
+    /// The target whose middle, which is the desired goal, is at `goal` (m).
+    pub fn target_at(goal: &Vector3<f64>) -> Result<usize, Rejection> {
+        let mut targets = TARGETS;
+        targets.find(|peg| (goal - Self::peg(*peg)).norm() < AT_PEG).ok_or_else(|| {
+            let middle = |peg| {
+                let [x, y, z] = Self::peg(peg).into();
+                format!("[{x:.4}, {y:.4}, {z:.4}]")
+            };
+            let pegs: Vec<_> = TARGETS.map(middle).collect();
+            let allowed = format!("allowed are the middles of the targets: {}", pegs.join(", "));
+            goal::refuse(goal, &allowed)
+        })
     }
 
     /// Whether a block is on a peg: as the goal's rule has it.

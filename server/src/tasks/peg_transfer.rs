@@ -98,6 +98,7 @@
 //!
 //! - v0: first version.
 
+use nalgebra::Vector3;
 use trocar_proto::goal::Reward;
 use trocar_proto::spec::OptionSpec;
 use trocar_proto::{Options, Rejection, Stage, TaskSpec};
@@ -116,7 +117,7 @@ use crate::render::Scene;
 use crate::sim::grasp::Grasp;
 use crate::sim::instrument::TIP_OFFSET;
 use crate::sim::random::Rng;
-use crate::sim::world::World;
+use crate::sim::world::{BodyId, World};
 
 /// Number of blocks. Source: the original.
 const BLOCKS: usize = 4;
@@ -201,6 +202,15 @@ impl Task for PegTransfer {
         } else {
             self.begin(world, rng);
         }
+    }
+
+    fn objects(&self) -> Vec<(&'static str, BodyId)> {
+        self.board.named(&self.layout)
+    }
+
+    fn set_goal(&mut self, goal: &Vector3<f64>) -> Result<(), Rejection> {
+        self.layout.target = PegBoard::target_at(goal)?;
+        Ok(())
     }
 
     fn command(&mut self, world: &mut World, action: Option<&[f32]>) {

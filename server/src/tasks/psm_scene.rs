@@ -47,6 +47,7 @@ use crate::sim::world::{BodyId, World};
 
 mod action;
 mod orientation;
+mod placing;
 #[cfg(test)]
 mod tests;
 

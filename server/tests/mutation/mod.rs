@@ -2,13 +2,13 @@
 
 use rand::{RngCore, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-use trocar_proto::Options;
 use trocar_proto::control::{
     self, Autoreset, ClientInfo, ControlRequest, MAX_MESSAGE, SessionRequest,
 };
 use trocar_proto::snapshot::Recipe;
 use trocar_proto::spec::OptionValue;
 use trocar_proto::wire::Header;
+use trocar_proto::{Options, Placement};
 
 /// A control message as it lies in shared memory.
 #[derive(Debug, Clone)]
@@ -150,6 +150,8 @@ fn requests(tasks: &[&str]) -> Vec<ControlRequest> {
         ControlRequest::DropSnapshots { session: 1, node: client.node, snapshots: vec![1, 2] },
         ControlRequest::ExportSnapshot { session: 1, node: client.node, snapshot: 1 },
     ];
+    let (node, placement) = (client.node, placement());
+    requests.push(ControlRequest::ImportPlacement { session: 1, node, placement });
     requests.extend(tasks.iter().map(|task| {
         let bytes = recipe(task).to_bytes().expect("it is short");
         ControlRequest::ImportSnapshot { session: 1, node: client.node, bytes }
@@ -168,6 +170,12 @@ fn requests(tasks: &[&str]) -> Vec<ControlRequest> {
     requests
 }
 
+/// How an episode shall begin.
+fn placement() -> Placement {
+    let objects = [("needle".into(), vec![0.55, 0.0, 0.68])].into();
+    Placement { goal: Some(vec![0.55, 0.0, 0.72]), objects, tip: None }
+}
+
 /// What led to the state of an environment that nobody has seen.
 fn recipe(task: &str) -> Recipe {
     Recipe {
@@ -176,6 +184,7 @@ fn recipe(task: &str) -> Recipe {
         options: Options::new().with_text("reward", "sparse"),
         seed: 1,
         episode: 0,
+        placement: placement(),
         actions: vec![0.5; 30],
         fingerprint: 0,
     }
