@@ -321,7 +321,7 @@ impl BiPegTransfer {
     /// What is done now, and what both arms do for it.
     fn plan(
         &self,
-        [one, two]: &[ArmView; 2],
+        [one, two]: &[ArmView<'_>; 2],
         world: &World,
         input: &ExpertInput<'_>,
     ) -> (Stage, [Waypoint; 2]) {
@@ -362,7 +362,7 @@ impl BiPegTransfer {
     }
 
     /// The hand-over over the midline, beside the target, of a block at `pose`.
-    fn hand_over(&self, one: &ArmView, two: &ArmView, pose: &Pose) -> HandOver {
+    fn hand_over(&self, one: &ArmView<'_>, two: &ArmView<'_>, pose: &Pose) -> HandOver {
         let Layout { block, target } = self.layout;
         let (giver, taker) = (&two.wrist, &one.wrist);
         let held = peg_expert::held_wall(block, pose, giver);
@@ -391,7 +391,7 @@ impl BiPegTransfer {
     }
 
     /// Where PSM1 waits while PSM2 fetches the block: beside the target, clear of PSM2.
-    fn waiting(&self, one: &ArmView) -> Waypoint {
+    fn waiting(&self, one: &ArmView<'_>) -> Waypoint {
         let mut wrist = one.aim;
         wrist.translation.x = PegBoard::peg(self.layout.target).x;
         wrist.translation.y = WAITING;

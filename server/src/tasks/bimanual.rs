@@ -151,8 +151,8 @@ impl HandOver {
     /// What `giver` and `taker` are to do now.
     pub fn phase(
         &self,
-        giver: &ArmView,
-        taker: &ArmView,
+        giver: &ArmView<'_>,
+        taker: &ArmView<'_>,
         world: &World,
         input: &ExpertInput<'_>,
     ) -> Phase {
@@ -183,8 +183,8 @@ impl HandOver {
     /// What is done while the giver has the object.
     pub fn giving(
         &self,
-        giver: &ArmView,
-        taker: &ArmView,
+        giver: &ArmView<'_>,
+        taker: &ArmView<'_>,
         world: &World,
         input: &ExpertInput<'_>,
     ) -> Stage {
@@ -193,7 +193,7 @@ impl HandOver {
     }
 
     /// Whether the object is where the taker may come for it; where it is about to take it, that may be farther off.
-    fn is_offered(&self, giver: &ArmView, taker: &ArmView) -> bool {
+    fn is_offered(&self, giver: &ArmView<'_>, taker: &ArmView<'_>) -> bool {
         let most = if self.is_near(taker) { STILL_OFFERED } else { OFFERED };
         let off = distance(&giver.wrist, &self.offer);
         let is_there = off[0] < most[0] && off[1] < most[1];
@@ -201,11 +201,11 @@ impl HandOver {
     }
 
     /// Whether the taker is about to take the object.
-    pub fn is_near(&self, taker: &ArmView) -> bool {
+    pub fn is_near(&self, taker: &ArmView<'_>) -> bool {
         distance(&taker.wrist, &self.take[1])[0] < self.hover + NEAR
     }
 
-    fn taking(&self, taker: &ArmView, offered: bool) -> Waypoint {
+    fn taking(&self, taker: &ArmView<'_>, offered: bool) -> Waypoint {
         let take = self.take[usize::from(offered)];
         let hover = take * Pose::translation(0.0, 0.0, -self.hover);
         let off = take.inv_mul(&taker.aim);
@@ -228,7 +228,7 @@ impl HandOver {
         }
     }
 
-    fn has_closed(&self, taker: &ArmView) -> bool {
+    fn has_closed(&self, taker: &ArmView<'_>) -> bool {
         let off = distance(&taker.wrist, &self.take[1]);
         off[0] < NEAR && off[1] < 2.0 * TURNED && taker.is_empty()
     }
@@ -250,7 +250,7 @@ fn distance(wrist: &Pose, target: &Pose) -> [f64; 2] {
 }
 
 /// Writes the action with which both arms go towards their waypoints.
-pub fn act(arms: &[ArmView; 2], waypoints: &[Waypoint; 2], action: &mut [f32]) {
+pub fn act(arms: &[ArmView<'_>; 2], waypoints: &[Waypoint; 2], action: &mut [f32]) {
     let count = action.len() / arms.len();
     let parts = action.chunks_exact_mut(count);
     for ((arm, (target, jaw)), part) in arms.iter().zip(waypoints).zip(parts) {
@@ -259,12 +259,12 @@ pub fn act(arms: &[ArmView; 2], waypoints: &[Waypoint; 2], action: &mut [f32]) {
 }
 
 /// A wrist moved by `way` (m), jaws closed.
-pub fn carried(arm: &ArmView, way: Vector3<f64>) -> Waypoint {
+pub fn carried(arm: &ArmView<'_>, way: Vector3<f64>) -> Waypoint {
     (Pose::from(way) * arm.wrist, JAW_CLOSED)
 }
 
 /// Where an arm is asked to be, with its jaws closed.
-pub fn staying(arm: &ArmView) -> Waypoint {
+pub fn staying(arm: &ArmView<'_>) -> Waypoint {
     (arm.aim, JAW_CLOSED)
 }
 

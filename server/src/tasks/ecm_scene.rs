@@ -43,6 +43,7 @@
 //! (0, 0, v_forward, ω_right, ω_down, ω_forward) in least squares: the pseudo-inverse of the 6 × 4
 //! Jacobian. Source: the original.
 
+use std::borrow::Cow;
 use std::f64::consts::{FRAC_PI_2, PI};
 
 use nalgebra::{Point3, UnitQuaternion, Vector3, Vector6};
@@ -314,15 +315,17 @@ impl EcmArm {
     }
 
     /// The arm once actions that are on their way have been carried out, as its expert foresees it.
-    #[must_use]
-    pub fn ahead(&self, in_flight: &[f32]) -> Self {
-        let mut ahead = Self { disturbance: None, ..self.clone() };
+    pub fn ahead(&self, in_flight: &[f32]) -> Cow<'_, Self> {
+        if in_flight.is_empty() && self.joints == self.way[1] {
+            return Cow::Borrowed(self);
+        }
+        let mut ahead = self.clone();
         ahead.glide(1.0);
         for action in in_flight.chunks(self.action_elements().len()) {
             ahead.command(Some(action));
             ahead.glide(1.0);
         }
-        ahead
+        Cow::Owned(ahead)
     }
 
     /// The action that moves the sensed camera by `step` (m, RCM frame) and the roll joint by

@@ -10,6 +10,8 @@
 //! measures: poses as the joint sensors report them, positions of objects with the episode's noise, and whether
 //! something keeps jaws apart in place of what their fingers touch.
 
+use std::borrow::Cow;
+
 use nalgebra::{Point3, UnitQuaternion, Vector3};
 use trocar_proto::Options;
 use trocar_proto::spec::OptionSpec;
@@ -77,9 +79,9 @@ impl ExpertInput<'_> {
 
 /// One of a task's PSMs as its expert looks at it.
 #[derive(Debug, Clone)]
-pub struct ArmView {
+pub struct ArmView<'a> {
     /// The arm once the commands on their way have been given.
-    ahead: PsmArm,
+    ahead: Cow<'a, PsmArm>,
     sees: Sees,
     /// The wrist now, scene frame.
     pub wrist: Pose,
@@ -91,10 +93,10 @@ pub struct ArmView {
     told: f64,
 }
 
-impl ArmView {
+impl<'a> ArmView<'a> {
     /// The arms of a task, to each of which belongs an equal part of an action, one after the other.
     pub fn of<const N: usize>(
-        arms: [&PsmArm; N],
+        arms: [&'a PsmArm; N],
         world: &World,
         input: &ExpertInput<'_>,
     ) -> [Self; N] {
@@ -108,14 +110,14 @@ impl ArmView {
         })
     }
 
-    fn new<'a>(
-        arm: &PsmArm,
-        in_flight: impl Iterator<Item = &'a [f32]>,
+    fn new<'b>(
+        arm: &'a PsmArm,
+        in_flight: impl Iterator<Item = &'b [f32]>,
         world: &World,
         sees: Sees,
     ) -> Self {
-        let mut ahead = arm.clone();
-        in_flight.for_each(|action| ahead.command(Some(action)));
+        let mut ahead = Cow::Borrowed(arm);
+        in_flight.for_each(|action| ahead.to_mut().command(Some(action)));
         let (wrist, aim) = match sees {
             Sees::Truth => (*arm.true_wrist(), ahead.true_commanded()),
             Sees::Measured => (*arm.scene_from_wrist(), *ahead.commanded()),

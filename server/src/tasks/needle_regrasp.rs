@@ -382,7 +382,7 @@ impl NeedleRegrasp {
     /// What is done now, and what both arms do for it.
     fn plan(
         &self,
-        [one, two]: &[ArmView; 2],
+        [one, two]: &[ArmView<'_>; 2],
         world: &World,
         input: &ExpertInput<'_>,
     ) -> (Stage, [Waypoint; 2]) {

@@ -102,7 +102,7 @@ impl Transfer {
     /// What is done now: where the wrist goes for it, and the angle of the jaws, rad.
     pub fn plan(
         &self,
-        arm: &ArmView,
+        arm: &ArmView<'_>,
         world: &World,
         input: &ExpertInput<'_>,
     ) -> (Stage, (Pose, f64)) {
@@ -123,7 +123,7 @@ impl Transfer {
     }
 
     /// What is done with a held block now, and the way on which it goes.
-    fn carry(&self, arm: &ArmView, block: &Pose) -> (Stage, Vector3<f64>) {
+    fn carry(&self, arm: &ArmView<'_>, block: &Pose) -> (Stage, Vector3<f64>) {
         let held = held_wall(self.block, block, &arm.wrist);
         let goal = PegBoard::peg(self.target) + outwards(self.block, block, held) * OFF_AXIS;
         let way = level(&(goal - block.translation.vector));
@@ -158,7 +158,7 @@ impl Transfer {
     }
 
     /// How the block is picked up.
-    fn pick(&self, arm: &ArmView, block: &Pose) -> (Stage, (Pose, f64)) {
+    fn pick(&self, arm: &ArmView<'_>, block: &Pose) -> (Stage, (Pose, f64)) {
         let (grasp, wall) = self.grasp(block, &arm.aim, |pose| arm.shortfall(pose));
         let off = arm.aim.translation.vector - grasp.translation.vector;
         let out = outwards(self.block, block, wall);

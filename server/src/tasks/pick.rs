@@ -56,13 +56,19 @@ pub struct Pick {
 
 impl Pick {
     /// Writes what an arm is to do now.
-    pub fn act(&self, arm: &ArmView, world: &World, input: &ExpertInput<'_>, action: &mut [f32]) {
+    pub fn act(
+        &self,
+        arm: &ArmView<'_>,
+        world: &World,
+        input: &ExpertInput<'_>,
+        action: &mut [f32],
+    ) {
         let (_, target, jaw) = self.plan(arm, world, input);
         arm.act(&target, jaw, action);
     }
 
     /// What is done now.
-    pub fn stage(&self, arm: &ArmView, world: &World, input: &ExpertInput<'_>) -> Stage {
+    pub fn stage(&self, arm: &ArmView<'_>, world: &World, input: &ExpertInput<'_>) -> Stage {
         self.plan(arm, world, input).0
     }
 
@@ -78,7 +84,12 @@ impl Pick {
     }
 
     /// What is done now: where the wrist goes for it, and the angle of the jaws, rad.
-    fn plan(&self, arm: &ArmView, world: &World, input: &ExpertInput<'_>) -> (Stage, Pose, f64) {
+    fn plan(
+        &self,
+        arm: &ArmView<'_>,
+        world: &World,
+        input: &ExpertInput<'_>,
+    ) -> (Stage, Pose, f64) {
         if arm.has(world, self.object, input) {
             let mut way = self.goal - self.carried;
             if !self.is_high() {

@@ -31,6 +31,8 @@
 //!
 //! Under `preset = "surrol"` number 9 is the roll rate of the original's law, 25 · θ*, rad/s.
 
+use std::borrow::Cow;
+
 use nalgebra::{Vector2, Vector3};
 use trocar_proto::spec::{Element, RowSpec};
 use trocar_proto::{Options, Rejection};
@@ -286,11 +288,13 @@ impl Tracker {
         let ahead = self.arm.ahead(input.in_flight);
         let (_, point) = self.observed();
         // The camera frame's x and y axes are the image axes left and up.
-        let [now, then] = [&self.arm, &ahead].map(|arm| arm.seen_camera(input.sees).rotation);
-        let turned = then.inverse() * now;
-        let seen = Vector3::new(-point.x * TAN_HALF_VIEW, -point.y * TAN_HALF_VIEW, 1.0);
-        let will = turned * seen;
-        let angles = Vector2::new(-will.x, -will.y).map(|across| libm::atan2(across, will.z));
+        let mut seen = Vector3::new(-point.x * TAN_HALF_VIEW, -point.y * TAN_HALF_VIEW, 1.0);
+        if matches!(ahead, Cow::Owned(_)) {
+            let [now, then] =
+                [&self.arm, ahead.as_ref()].map(|arm| arm.seen_camera(input.sees).rotation);
+            seen = then.inverse() * now * seen;
+        }
+        let angles = Vector2::new(-seen.x, -seen.y).map(|across| libm::atan2(across, seen.z));
         let across =
             (angles / (STEP_TURN * self.rate().scale())).map(|number| number.clamp(-1.0, 1.0));
         ahead.encode_velocity(&Vector3::new(across.x, across.y, 0.0), action);
