@@ -315,11 +315,12 @@ impl EcmArm {
     }
 
     /// The arm once actions that are on their way have been carried out, as its expert foresees it.
+    #[must_use]
     pub fn ahead(&self, in_flight: &[f32]) -> Cow<'_, Self> {
         if in_flight.is_empty() && self.joints == self.way[1] {
             return Cow::Borrowed(self);
         }
-        let mut ahead = self.clone();
+        let mut ahead = Self { disturbance: None, ..self.clone() };
         ahead.glide(1.0);
         for action in in_flight.chunks(self.action_elements().len()) {
             ahead.command(Some(action));

@@ -110,9 +110,9 @@ impl<'a> ArmView<'a> {
         })
     }
 
-    fn new<'b>(
+    fn new<'f>(
         arm: &'a PsmArm,
-        in_flight: impl Iterator<Item = &'b [f32]>,
+        in_flight: impl Iterator<Item = &'f [f32]>,
         world: &World,
         sees: Sees,
     ) -> Self {

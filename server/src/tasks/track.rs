@@ -288,13 +288,16 @@ impl Tracker {
         let ahead = self.arm.ahead(input.in_flight);
         let (_, point) = self.observed();
         // The camera frame's x and y axes are the image axes left and up.
-        let mut seen = Vector3::new(-point.x * TAN_HALF_VIEW, -point.y * TAN_HALF_VIEW, 1.0);
-        if matches!(ahead, Cow::Owned(_)) {
-            let [now, then] =
-                [&self.arm, ahead.as_ref()].map(|arm| arm.seen_camera(input.sees).rotation);
-            seen = then.inverse() * now * seen;
-        }
-        let angles = Vector2::new(-seen.x, -seen.y).map(|across| libm::atan2(across, seen.z));
+        let seen = Vector3::new(-point.x * TAN_HALF_VIEW, -point.y * TAN_HALF_VIEW, 1.0);
+        let will = match &ahead {
+            Cow::Borrowed(_) => seen,
+            Cow::Owned(ahead) => {
+                let [then, now] =
+                    [ahead, &self.arm].map(|arm| arm.seen_camera(input.sees).rotation);
+                then.inverse() * now * seen
+            }
+        };
+        let angles = Vector2::new(-will.x, -will.y).map(|across| libm::atan2(across, will.z));
         let across =
             (angles / (STEP_TURN * self.rate().scale())).map(|number| number.clamp(-1.0, 1.0));
         ahead.encode_velocity(&Vector3::new(across.x, across.y, 0.0), action);
