@@ -98,7 +98,7 @@ pub struct Rejection {
 impl Rejection {
     /// The longest text that any part of a refusal keeps, in characters: a refusal quotes what a
     /// client sent, and must fit into a reply whatever that was.
-    pub const MAX_TEXT: usize = 400;
+    pub const MAX_TEXT: usize = 800;
 
     /// A refusal of `field`, which was `value`, where `allowed` was expected.
     pub fn new(

@@ -6,6 +6,7 @@
 use std::f64::consts::{FRAC_PI_2, PI};
 
 use nalgebra::{Point3, UnitQuaternion, Vector3};
+use trocar_proto::{OptionValue, Options};
 use trocar_server::assets::Model;
 use trocar_server::sim::frames::{self, Pose};
 use trocar_server::sim::instrument::{Instrument, JAW_CLOSED, JAW_OPEN, Posture, TIP_OFFSET};
@@ -47,6 +48,8 @@ struct Trial {
     height: f64,
     /// Random movements after the lift.
     moves: u32,
+    /// Stiffness of the pad (N/m), and how far it gives (m), where it does.
+    pad: Option<[f64; 2]>,
 }
 
 impl Trial {
@@ -57,6 +60,7 @@ impl Trial {
         errors: [1e-3, 5.0 * DEGREE, 20.0 * DEGREE],
         height: 0.05e-3,
         moves: 10,
+        pad: None,
     };
     const HANDLED: Self = Self { moves: 50, ..Self::PERTURBED };
     /// The fingers reach 4 mm below the block's top.
@@ -91,13 +95,20 @@ fn run(trial: Trial, seed: u64) -> Outcome {
         Preset::Paper => 1.0,
         Preset::Surrol => 3.0,
     };
-    let mut world = tray::furnished_world(trial.preset);
+    let rows = trial.pad.map(|[stiffness, depth]| {
+        [("pad_stiffness", stiffness), ("pad_depth", depth)]
+            .map(|(row, number)| (row.to_string(), vec![number; 2]))
+    });
+    let rows = OptionValue::Table(rows.into_iter().flatten().collect());
+    let domain = Domain::of(&Options::new().with("domain", rows)).expect("such pads there may be");
+    let (mut world, pad) = tray::padded_world(trial.preset, domain);
     let (x, y) = (tray::pad().centre().x, tray::pad().centre().y);
     let turned = rng.uniform(-FRAC_PI_2, FRAC_PI_2);
     let (thing, body_from_place) = match trial.thing {
         Thing::Needle => {
             let needle = Needle::insert(&mut world, trial.preset, Domain::default());
             needle.lay(&mut world, x, y, turned);
+            pad.bear(&mut world, needle.body());
             (needle.body(), Model::needle().body_from("mid_arc"))
         }
         Thing::Block => {
@@ -243,4 +254,22 @@ fn jaws_that_close_above_the_wire_lift_nothing() {
     // 2.8 mm between the tip and the top of the wire.
     let above = Trial { height: 1e-3 + 2.8e-3, ..Trial::ALIGNED };
     assert!(share_held("2.8 mm above", above, 10) <= 0.05);
+}
+
+#[test]
+fn jaws_pressed_into_a_pad_that_gives_grasp_a_needle_from_wrong_heights() {
+    for stiffness in [50.0, 200.0, 1000.0] {
+        for wrong in [-1e-3, -0.5e-3, 0.0, 0.5e-3, 1e-3] {
+            // They are to come down halfway into it.
+            let height = Trial::PERTURBED.height - 1e-3 + wrong;
+            let trial = Trial { height, pad: Some([stiffness, 2e-3]), ..Trial::PERTURBED };
+            let name = format!("{stiffness} N/m, {:+} mm", wrong * 1e3);
+            assert!(share_held(&name, trial, 5) >= 0.95, "{name}");
+        }
+    }
+    for (wrong, least, most) in [(0.0, 0.95, 1.0), (0.5e-3, 0.0, 0.5), (1e-3, 0.0, 0.05)] {
+        let trial = Trial { height: Trial::PERTURBED.height + wrong, ..Trial::PERTURBED };
+        let share = share_held(&format!("rigid, {:+} mm", wrong * 1e3), trial, 5);
+        assert!((least..=most).contains(&share), "{wrong}: {share}");
+    }
 }

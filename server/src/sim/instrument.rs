@@ -30,8 +30,8 @@ pub const JAW_CLOSED: f64 = 0.0;
 /// Jaw angle of open jaws, rad (40°, as the original's tasks open them).
 pub const JAW_OPEN: f64 = 0.698_131_700_797_731_8;
 
-/// Height that the lowest point of the closed jaws keeps above a support, m: jaws that close on
-/// an object while they press on its support lose it.
+/// Height that the lowest point of the closed jaws keeps above a rigid support, m: jaws that close on
+/// an object while they press on such a support lose it. One that gives may be pressed in.
 pub const CLEARANCE: f64 = 0.05e-3;
 
 /// Distance at which an object counts as met, m: more than that from which on contacts are looked at,

@@ -23,6 +23,7 @@ mod non_rigid;
 mod points;
 mod rest;
 mod rolling;
+mod spring;
 #[cfg(test)]
 mod tests;
 mod tie;
@@ -31,6 +32,7 @@ pub use contact::{Contact, Overlap, Push};
 pub use hinge::{Hinge, HingedId};
 pub use inertia::Inertia;
 pub use non_rigid::{NonRigid, Surface};
+pub use spring::{Spring, SprungId};
 pub use tie::TieId;
 
 /// Acceleration of free fall, m/s².
@@ -182,6 +184,8 @@ pub struct World {
     multibody_joints: MultibodyJointSet,
     soft_bodies: SoftBodySet,
     free: Vec<RigidBodyHandle>,
+    /// The bodies on springs.
+    sprung: Vec<RigidBodyHandle>,
     /// The bodies that are not rigid.
     others: Vec<Box<dyn NonRigid>>,
     /// Greatest speed of a free object in any substep, engine units.
@@ -246,6 +250,7 @@ impl World {
             multibody_joints: MultibodyJointSet::new(),
             soft_bodies: SoftBodySet::new(),
             free: Vec::new(),
+            sprung: Vec::new(),
             others: Vec::new(),
             fastest: 0.0,
             fixed: Vec::new(),
@@ -453,7 +458,7 @@ impl World {
             body: BodyId(handle),
             motion: match body.body_type() {
                 RigidBodyType::Fixed => Motion::Fixed,
-                RigidBodyType::Dynamic if self.free.contains(&handle) => {
+                RigidBodyType::Dynamic if self.moving().any(|body| *body == handle) => {
                     Motion::Free { mass: f64::from(body.mass()) / (SCALE * SCALE * SCALE) }
                 }
                 _ => Motion::Driven,
@@ -483,15 +488,20 @@ impl World {
         f64::from(self.fastest) / SCALE
     }
 
-    /// Whether every free object, of whatever kind, rests: then nothing changes until something touches one.
+    /// All that forces move: the free objects, then the bodies on springs.
+    fn moving(&self) -> impl Iterator<Item = &RigidBodyHandle> {
+        self.free.iter().chain(&self.sprung)
+    }
+
+    /// Whether everything that forces move, of whatever kind, rests: then nothing changes until something touches one.
     pub fn at_rest(&self) -> bool {
-        self.free.iter().all(|body| self.bodies[*body].is_sleeping())
+        self.moving().all(|body| self.bodies[*body].is_sleeping())
             && self.others.iter().all(|other| other.at_rest())
     }
 
-    /// Whether the box of any part of a free object, or of a body of another kind, meets `region`.
+    /// Whether the box of any part of what forces move, of whatever kind, meets `region`.
     pub fn object_in(&self, region: &Aabb) -> bool {
-        self.free.iter().any(|body| self.boxes(*body).any(|part| region.meets(&part)))
+        self.moving().any(|body| self.boxes(*body).any(|part| region.meets(&part)))
             || self.others.iter().any(|other| region.meets(&other.bounds()))
     }
 
@@ -522,9 +532,10 @@ impl World {
         })
     }
 
-    /// Positions and velocities of all free objects, as bits; then those of bodies of other kinds.
+    /// Positions and velocities of all free objects and bodies on springs, as bits; then those of bodies of
+    /// other kinds.
     pub fn bits(&self) -> impl Iterator<Item = u32> {
-        let rigid = self.free.iter().flat_map(|body| {
+        let rigid = self.moving().flat_map(|body| {
             let body = &self.bodies[*body];
             let (turned, velocity, rate) = (body.rotation(), body.linvel(), body.angvel());
             let position = body.translation();
@@ -534,9 +545,9 @@ impl World {
         rigid.chain(self.others.iter().flat_map(|other| other.bits()))
     }
 
-    /// Whether positions and velocities of all free objects are finite numbers.
+    /// Whether positions and velocities of all that forces move are finite numbers.
     pub fn is_finite(&self) -> bool {
-        self.free.iter().all(|body| {
+        self.moving().all(|body| {
             let body = &self.bodies[*body];
             body.is_enabled() // the engine disables bodies whose state is not finite
                 && body.position().is_finite()

@@ -177,7 +177,7 @@ impl Task for BiPegTransfer {
     const ID: &'static str = "BiPegTransfer-v0";
 
     fn options() -> Vec<OptionSpec> {
-        objects::options(2, Block::SIZE, [start::option()])
+        objects::options(2, Block::SIZE, [start::option()], [])
     }
 
     fn new(options: &Options) -> Result<(Self, World), Rejection> {

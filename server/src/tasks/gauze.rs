@@ -4,6 +4,7 @@ use nalgebra::Vector3;
 
 use super::objects::Object;
 use super::options::{Domain, Preset};
+use super::pad::Pad;
 use super::psm_scene::WORKSPACE;
 use super::tray;
 use crate::assets::{Model, Scaled};
@@ -19,16 +20,25 @@ const TRAY_ORIGIN: [f64; 3] = [0.55, 0.0, 0.6781];
 /// original.
 const NARROW: f64 = 0.01;
 
-/// A world with table and tray, and the solver that the preset's objects need.
-pub fn furnished_world(preset: Preset) -> World {
+/// A world with table and tray, and the solver that the preset's objects need; and the pad in the tray, where
+/// `domain` has one that gives.
+pub fn furnished_world(preset: Preset, domain: Domain) -> (World, Option<Pad>) {
+    if domain.has_soft_pad() {
+        let (world, pad) = tray::padded_world(preset, domain);
+        return (world, Some(pad));
+    }
     let mut world = tray::bare_table(preset);
     tray::furnish(&mut world, Model::tray(), TRAY_ORIGIN);
-    world
+    (world, None)
 }
 
-/// Height of the tray's floor, m.
-pub fn floor() -> f64 {
-    Model::tray().parts[0].aabb(&scene_from_tray()).max.z
+/// Height on which the gauze lies, m: of the tray's floor, or of the pad in it that `domain` has.
+pub fn floor(domain: Domain) -> f64 {
+    if domain.has_soft_pad() {
+        tray::pad().max.z
+    } else {
+        Model::tray().parts[0].aabb(&scene_from_tray()).max.z
+    }
 }
 
 /// Height of the tray's rim, m.
@@ -62,7 +72,7 @@ impl Gauze {
             Preset::Surrol => Self::SURROL_MASS,
         };
         let centre = WORKSPACE.centre();
-        let at = resting(&model.scaled(1.0), centre.x, centre.y);
+        let at = resting(&model.scaled(1.0), centre.x, centre.y, floor(domain));
         Self { object: Object::insert(world, model, mass, &at), domain }
     }
 
@@ -74,7 +84,7 @@ impl Gauze {
     /// Lays the gauze on the floor of the tray, at rest, its pleat along x; `x` and `y` of its middle,
     /// m.
     pub fn lay(&self, world: &mut World, x: f64, y: f64) {
-        world.place(self.body(), &resting(self.object.form(), x, y));
+        world.place(self.body(), &resting(self.object.form(), x, y, floor(self.domain)));
     }
 
     /// Lays the gauze anywhere that is wholly in the workspace.
@@ -97,9 +107,13 @@ impl Gauze {
         self.lay(world, x, y);
     }
 
-    /// Draws the gauze and its tray.
+    /// Draws the gauze and its tray, where it has no pad.
     pub fn draw(&self, world: &World, scene: &mut Scene) {
-        scene.add_model("tray", Model::tray(), &scene_from_tray());
+        if self.domain.has_soft_pad() {
+            tray::draw_tray(scene);
+        } else {
+            scene.add_model("tray", Model::tray(), &scene_from_tray());
+        }
         self.object.draw(world, "gauze", scene);
     }
 
@@ -126,9 +140,9 @@ impl Gauze {
     }
 }
 
-/// Where a gauze lies flat on the floor of the tray.
-fn resting(gauze: &Scaled, x: f64, y: f64) -> Pose {
-    frames::pose([x, y, floor() - gauze.aabb(&Pose::identity()).min.z], [0.0; 3])
+/// Where a gauze lies flat on a `floor` (m).
+fn resting(gauze: &Scaled, x: f64, y: f64, floor: f64) -> Pose {
+    frames::pose([x, y, floor - gauze.aabb(&Pose::identity()).min.z], [0.0; 3])
 }
 
 #[cfg(test)]
@@ -137,19 +151,20 @@ mod tests {
 
     #[test]
     fn a_gauze_that_is_dropped_lies_on_the_floor_not_in_it() {
-        let mut world = furnished_world(Preset::Paper);
+        let (mut world, _) = furnished_world(Preset::Paper, Domain::default());
         let gauze = Gauze::insert(&mut world, Preset::Paper, Domain::default());
         for (index, height) in [0.01, 0.03, 0.05].into_iter().enumerate() {
             let tilt = 0.1 * index as f64;
             let mut pose = frames::pose([0.55, 0.0, 0.0], [tilt, 0.5 * tilt, 0.0]);
-            pose.translation.z = floor() + height;
+            pose.translation.z = floor(Domain::default()) + height;
             world.place(gauze.body(), &pose);
             world.wake(gauze.body());
             for _ in 0..480 {
                 world.advance();
             }
             assert!(world.at_rest());
-            let sunk = floor() - Model::gauze().aabb(&world.pose(gauze.body())).min.z;
+            let sunk =
+                floor(Domain::default()) - Model::gauze().aabb(&world.pose(gauze.body())).min.z;
             assert!(sunk.abs() < 0.1e-3, "from {height} m: {sunk} m");
         }
     }
@@ -157,7 +172,7 @@ mod tests {
     #[test]
     fn a_gauze_lies_in_tray_and_workspace_and_stays_where_it_is_laid() {
         for preset in [Preset::Paper, Preset::Surrol] {
-            let mut world = furnished_world(preset);
+            let (mut world, _) = furnished_world(preset, Domain::default());
             let mut gauze = Gauze::insert(&mut world, preset, Domain::default());
             let mut rng = Rng::new(3, 0);
             for _ in 0..20 {
@@ -171,7 +186,7 @@ mod tests {
                 let moved = world.pose(gauze.body()).inv_mul(&laid);
                 assert!(moved.translation.vector.norm() < 0.02e-3, "{moved}");
                 let outline = Model::gauze().aabb(&laid);
-                assert!((outline.min.z - floor()).abs() < 1e-6);
+                assert!((outline.min.z - floor(Domain::default())).abs() < 1e-6);
                 for axis in 0..2 {
                     assert!(WORKSPACE.min[axis] < outline.min[axis] + 1e-9, "{outline:?}");
                     assert!(outline.max[axis] < WORKSPACE.max[axis] + 1e-9, "{outline:?}");

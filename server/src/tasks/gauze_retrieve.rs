@@ -78,7 +78,10 @@
 //!   of contacts is per mass, so fingers sink into what is lighter), `size` (0.8 to 1.2; factor on
 //!   all lengths) of the gauze, `friction` (coefficient of the jaws), `observation_noise` (m, on
 //!   observed positions), `joint_offset` (rad, on every rotary joint), `latency` (steps; the arm
-//!   holds until the first action arrives).
+//!   holds until the first action arrives), `pad_stiffness` (50 to 1000 N/m; 200 where only the depth is
+//!   given) and `pad_depth` (0 to 0.002 m; 0.001 where only the stiffness is given): the gauze lies on
+//!   NeedlePick's pad, 2.8 mm higher than the floor, which gives by that much; jaws may be pressed into it,
+//!   and the gauze sinks with it.
 //! - `setup`: `base` (x, y, z in m and turn in rad of the arm's base), `table_height` (m). The arm
 //!   must reach the whole workspace.
 //!
@@ -107,6 +110,7 @@ use super::expert::{ArmView, ExpertInput};
 use super::gauze::{self, Gauze};
 use super::objects;
 use super::options::{self, Preset};
+use super::pad::Pad;
 use super::pick::Pick;
 use super::psm_scene::{self, MAX_STEPS, PaperAction, PsmArm, Station, Turn, WORKSPACE};
 use super::start::{self, Start};
@@ -140,6 +144,10 @@ const LOWEST_GOAL: f64 = 0.005;
 #[derive(Debug, Clone)]
 pub struct GauzeRetrieve {
     arm: PsmArm,
+    /// What lies on the floor of the tray, where it is soft.
+    pad: Option<Pad>,
+    /// Height on which the gauze lies, m.
+    floor: f64,
     gauze: Gauze,
     grasp: Grasp,
     start: Start,
@@ -153,19 +161,23 @@ impl Task for GauzeRetrieve {
     const ID: &'static str = "GauzeRetrieve-v0";
 
     fn options() -> Vec<OptionSpec> {
-        objects::options(1, Gauze::SIZE, [options::spawn(), start::option()])
+        let own = [options::spawn(), start::option()];
+        objects::options(1, Gauze::SIZE, own, options::pad_rows())
     }
 
     fn new(options: &Options) -> Result<(Self, World), Rejection> {
         let preset = options::preset_of(options);
-        let mut world = gauze::furnished_world(preset);
-        let gauze = Gauze::insert(&mut world, preset, options::Domain::of(options)?);
+        let domain = options::Domain::of(options)?;
+        let (mut world, pad) = gauze::furnished_world(preset, domain);
+        let (gauze, floor) = (Gauze::insert(&mut world, preset, domain), gauze::floor(domain));
         let paper = PaperAction { turn: Turn::Nothing, jaw: true };
         let start = [WORKSPACE.min.x, WORKSPACE.max.y, WORKSPACE.centre().z + TIP_OFFSET];
-        let station = Station::psm1(start, gauze::floor());
+        let station = Station::psm1(start, floor);
         let grasp = Grasp::new(&mut world, options::grasp_of(options), gauze.body());
         let task = Self {
             arm: PsmArm::insert(&mut world, options, paper, station)?,
+            pad,
+            floor,
             gauze,
             grasp,
             start: Start::of(options),
@@ -232,7 +244,7 @@ impl Task for GauzeRetrieve {
 
     fn after_step(&mut self, world: &mut World) {
         let height = world.pose(self.gauze.body()).translation.z;
-        let is_lifted = height > gauze::floor() + WELD_LIFT;
+        let is_lifted = height > self.floor + WELD_LIFT;
         psm_scene::settle([&mut self.arm], world, &mut self.grasp, is_lifted);
     }
 
@@ -254,6 +266,9 @@ impl Task for GauzeRetrieve {
 
     fn scene(&self, world: &World, scene: &mut Scene) {
         theatre::draw(scene, self.arm.model());
+        if let Some(pad) = &self.pad {
+            pad.draw(world, scene);
+        }
         self.gauze.draw(world, scene);
         self.arm.draw(world, scene);
         scene.add_goal(&self.goal, theatre::GOAL_RADIUS);
@@ -273,10 +288,17 @@ impl Task for GauzeRetrieve {
 impl GauzeRetrieve {
     /// Lays the gauze, draws a goal, brings the arm to its start.
     fn begin(&mut self, world: &mut World, rng: &mut Rng) {
+        if let Some(pad) = &mut self.pad {
+            pad.vary(world, rng);
+            self.arm.give(pad.depth());
+        }
         if self.narrow {
             self.gauze.lay_near_the_middle(world, rng);
         } else {
             self.gauze.lay_anywhere(world, rng);
+        }
+        if let Some(pad) = &self.pad {
+            pad.bear(world, self.gauze.body());
         }
         self.grasp.reset(world, self.gauze.body());
         self.goal = self.draw_goal(rng);

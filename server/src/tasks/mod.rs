@@ -47,6 +47,7 @@ pub mod needle_reach;
 pub mod needle_regrasp;
 pub mod objects;
 pub mod options;
+pub mod pad;
 pub mod path;
 pub mod peg_board;
 pub mod peg_expert;

@@ -78,7 +78,10 @@
 //!   of contacts is per mass, so fingers sink into what is lighter), `size` (0.8 to 1.2; factor on
 //!   all lengths) of the needle, `friction` (coefficient of the jaws), `observation_noise` (m, on
 //!   observed positions), `joint_offset` (rad, on every rotary joint), `latency` (steps; the arm
-//!   holds until the first action arrives).
+//!   holds until the first action arrives), `pad_stiffness` (50 to 1000 N/m; 200 where only the depth is
+//!   given) and `pad_depth` (0 to 0.002 m; 0.001 where only the stiffness is given): the pad gives by that
+//!   much, jaws may be pressed into it, and the needle sinks with it. Without either, and at depth 0
+//!   throughout, it is rigid.
 //! - `setup`: `base` (x, y, z in m and turn in rad of the arm's base), `table_height` (m). The arm
 //!   must reach the whole workspace.
 //!
@@ -104,6 +107,7 @@ use trocar_proto::{Options, Rejection, Stage, TaskSpec};
 use super::expert::{ArmView, ExpertInput};
 use super::objects;
 use super::options::{self, Preset};
+use super::pad::Pad;
 use super::pick::{self, Pick};
 use super::psm_scene::{self, MAX_STEPS, PaperAction, PsmArm, Station, Turn, WORKSPACE};
 use super::start::{self, Start};
@@ -139,6 +143,7 @@ const LOWEST_GOAL: f64 = 0.02;
 #[derive(Debug, Clone)]
 pub struct NeedlePick {
     arm: PsmArm,
+    pad: Pad,
     needle: Needle,
     grasp: Grasp,
     start: Start,
@@ -152,19 +157,22 @@ impl Task for NeedlePick {
     const ID: &'static str = "NeedlePick-v0";
 
     fn options() -> Vec<OptionSpec> {
-        objects::options(1, Needle::SIZE, [options::spawn(), start::option()])
+        let own = [options::spawn(), start::option()];
+        objects::options(1, Needle::SIZE, own, options::pad_rows())
     }
 
     fn new(options: &Options) -> Result<(Self, World), Rejection> {
         let preset = options::preset_of(options);
-        let mut world = tray::furnished_world(preset);
-        let needle = Needle::insert(&mut world, preset, options::Domain::of(options)?);
+        let domain = options::Domain::of(options)?;
+        let (mut world, pad) = tray::padded_world(preset, domain);
+        let needle = Needle::insert(&mut world, preset, domain);
         let paper = PaperAction { turn: Turn::Vertical, jaw: true };
         let start = [WORKSPACE.min.x, WORKSPACE.max.y, WORKSPACE.centre().z + TIP_OFFSET];
         let station = Station::psm1(start, tray::pad().max.z);
         let grasp = Grasp::new(&mut world, options::grasp_of(options), needle.body());
         let task = Self {
             arm: PsmArm::insert(&mut world, options, paper, station)?,
+            pad,
             needle,
             grasp,
             start: Start::of(options),
@@ -255,7 +263,8 @@ impl Task for NeedlePick {
 
     fn scene(&self, world: &World, scene: &mut Scene) {
         theatre::draw(scene, self.arm.model());
-        tray::draw(scene);
+        tray::draw_tray(scene);
+        self.pad.draw(world, scene);
         self.needle.draw(world, scene);
         self.arm.draw(world, scene);
         scene.add_goal(&self.goal, theatre::GOAL_RADIUS);
@@ -275,13 +284,16 @@ impl Task for NeedlePick {
 impl NeedlePick {
     /// Lays the needle, draws a goal, brings the arm to its start.
     fn begin(&mut self, world: &mut World, rng: &mut Rng) {
+        self.pad.vary(world, rng);
         if self.narrow {
             self.needle.lay_near_the_middle(world, rng);
         } else {
             self.needle.lay_anywhere(world, rng);
         }
+        self.pad.bear(world, self.needle.body());
         self.grasp.reset(world, self.needle.body());
         self.goal = self.draw_goal(rng);
+        self.arm.give(self.pad.depth());
         self.arm.reset(world, rng);
     }
 

@@ -201,7 +201,7 @@ impl Task for NeedleRegrasp {
     const ID: &'static str = "NeedleRegrasp-v0";
 
     fn options() -> Vec<OptionSpec> {
-        objects::options(2, Needle::SIZE, [])
+        objects::options(2, Needle::SIZE, [], [])
     }
 
     fn new(options: &Options) -> Result<(Self, World), Rejection> {

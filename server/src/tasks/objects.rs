@@ -2,7 +2,7 @@
 
 use nalgebra::Vector3;
 use trocar_proto::goal::SuccessRule;
-use trocar_proto::spec::{Element, GoalSpec, OptionSpec};
+use trocar_proto::spec::{Element, GoalSpec, OptionSpec, RowSpec};
 
 use super::expert::Sees;
 use super::options::{self, Preset, Variation};
@@ -65,11 +65,12 @@ impl Object {
 }
 
 /// The options of tasks in which PSMs, so many of them, grasp an object of a `size` between two
-/// factors: those that all have, and `own`.
+/// factors: those that all have, and `own`; `rows` are rows of `domain` that the task has besides.
 pub fn options(
     arms: usize,
     size: [f64; 2],
     own: impl IntoIterator<Item = OptionSpec>,
+    rows: impl IntoIterator<Item = RowSpec>,
 ) -> Vec<OptionSpec> {
     let [grasp, grasp_distance] = options::grasp();
     let mut specs = vec![
@@ -84,7 +85,8 @@ pub fn options(
         Sees::option(),
     ];
     specs.extend(own);
-    let rows = std::iter::once(options::friction_row()).chain(options::object_rows(size));
+    let own = std::iter::once(options::friction_row()).chain(options::object_rows(size));
+    let rows = own.chain(rows);
     specs.extend([options::domain_with(rows), options::setup(&PsmArm::setup_rows(arms))]);
     specs
 }

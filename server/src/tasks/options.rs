@@ -11,6 +11,7 @@ use crate::robots::ArmModel;
 use crate::sim::frames::{self, Aabb, Pose};
 use crate::sim::grasp::GraspMode;
 use crate::sim::random::Rng;
+use crate::sim::world::Spring;
 
 /// Unit of positions under `preset = "surrol"`, which multiplies metres by 5.
 pub const SCALED_LENGTH: &str = "0.2 m";
@@ -359,6 +360,16 @@ pub fn object_rows(size: [f64; 2]) -> [RowSpec; 2] {
     [range_row("mass", mass, MASS[0], MASS[1]), range_row("size", lengths, size[0], size[1])]
 }
 
+/// The rows of `domain` of tasks whose object lies on a pad that may give.
+pub fn pad_rows() -> [RowSpec; 2] {
+    let stiffness = "Stiffness of the pad where it gives, N/m; 200 where only pad_depth is given.";
+    let depth = "How far the pad gives, m; 0.001 where only pad_stiffness is given.";
+    [
+        range_row("pad_stiffness", stiffness, PAD_STIFFNESS[0], PAD_STIFFNESS[1]),
+        range_row("pad_depth", depth, 0.0, MOST_PAD_DEPTH),
+    ]
+}
+
 /// The rows of `domain` that misplace the camera; `angle`: the largest turn, rad.
 pub fn camera_rows(angle: f64) -> [RowSpec; 2] {
     let position = "Error of the camera's place on its arm along each of its axes, m.";
@@ -372,6 +383,15 @@ pub fn camera_rows(angle: f64) -> [RowSpec; 2] {
 /// The factors on an object's mass with which every expert succeeds: stiffness of contacts is per mass, so
 /// at a quarter blocks and gauze are lost, and at ten times a block is too heavy to be handed over.
 const MASS: [f64; 2] = [0.5, 5.0];
+
+/// The stiffness of pads with which experts do their work, N/m.
+const PAD_STIFFNESS: [f64; 2] = [50.0, 1000.0];
+
+/// The deepest that a pad gives, m.
+pub const MOST_PAD_DEPTH: f64 = 0.002;
+
+/// The pad of an episode of whose two ranges only one is given.
+const PAD: Spring = Spring { stiffness: 200.0, travel: 0.001 };
 
 fn range_row(name: &str, summary: &str, min: f64, max: f64) -> RowSpec {
     RowSpec { name: name.into(), summary: summary.into(), count: 2, min, max }
@@ -426,6 +446,10 @@ pub struct Domain {
     pub mass: Range,
     /// Factor on the object's lengths.
     pub size: Range,
+    /// Stiffness of the pad, N/m.
+    pub pad_stiffness: Range,
+    /// How far the pad can be pressed in, m.
+    pub pad_depth: Range,
     /// Error of the camera's place along each of its axes, m.
     pub camera_pose_position: Range,
     /// Error of the camera's direction about each of its axes, rad.
@@ -455,11 +479,19 @@ impl Domain {
             )),
             None => Ok(Range::default()),
         };
+        let has = |row: &str| options.row("domain", row).is_some();
+        let pad_depth = if has("pad_stiffness") && !has("pad_depth") {
+            Range { low: PAD.travel, high: PAD.travel }
+        } else {
+            range("pad_depth")?
+        };
         Ok(Self {
             observation_noise: range("observation_noise")?,
             friction: range("friction")?,
             mass: range("mass")?,
             size: range("size")?,
+            pad_stiffness: range("pad_stiffness")?,
+            pad_depth,
             camera_pose_position: range("camera_pose_position")?,
             camera_pose_angle: range("camera_pose_angle")?,
             joint_offset: range("joint_offset")?,
@@ -479,6 +511,24 @@ impl Domain {
         });
         (mass.is_some() || size.is_some())
             .then(|| Variation { mass: mass.unwrap_or(1.0), size: size.unwrap_or(1.0) })
+    }
+
+    /// Whether the pad gives.
+    pub fn has_soft_pad(&self) -> bool {
+        self.pad_depth.is_given()
+    }
+
+    /// How the pad of the episode of `rng` gives; none where it does not. To be drawn where the variation is.
+    pub fn draw_pad(&self, rng: &Rng) -> Option<Spring> {
+        self.has_soft_pad().then(|| {
+            let mut rng = rng.aside();
+            // The first two numbers are those of the variation.
+            let [_, _, stiffness, travel] =
+                [self.mass, self.size, self.pad_stiffness, self.pad_depth]
+                    .map(|range| range.draw(&mut rng));
+            let is_given = self.pad_stiffness.is_given();
+            Spring { stiffness: if is_given { stiffness } else { PAD.stiffness }, travel }
+        })
     }
 
     /// Where the camera of the episode of `rng` is, seen from where it should be; none where neither range

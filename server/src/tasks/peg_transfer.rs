@@ -145,7 +145,7 @@ impl Task for PegTransfer {
     const ID: &'static str = "PegTransfer-v0";
 
     fn options() -> Vec<OptionSpec> {
-        objects::options(1, Block::SIZE, [start::option()])
+        objects::options(1, Block::SIZE, [start::option()], [])
     }
 
     fn new(options: &Options) -> Result<(Self, World), Rejection> {

@@ -16,7 +16,7 @@
 //!
 //! Every action moves from the pose that the joint sensors report. The resulting pose is confined:
 //! the wrist to the workspace and a margin around it ([`REACH`]), the tip to the same box in x and
-//! y, and the height so that the closed jaws stay 0.05 mm above the pad. A pose outside the arm's
+//! y, and the height so that the closed jaws stay 0.05 mm above the pad, or as far in it as it gives. A pose outside the arm's
 //! joint limits, or one that would take a whole turn of the roll, is not taken: the arm stays
 //! where it is for that step.
 //!
@@ -177,6 +177,8 @@ pub struct PsmArm {
     reach: Aabb,
     /// Height of what lies under the jaws, m.
     support: f64,
+    /// How far the jaws may be pressed into it, m.
+    give: f64,
     rate: Rate,
     instrument: Instrument,
     /// What the joint sensors report.
@@ -251,6 +253,7 @@ impl PsmArm {
             friction: domain.friction,
             reach: reach(&station.workspace),
             support: station.support,
+            give: 0.0,
             instrument: Instrument::insert(
                 world,
                 Posture { world_from_wrist: start, jaw: JAW_CLOSED },
@@ -301,6 +304,16 @@ impl PsmArm {
         self.instrument.untie(world);
         self.instrument.place(Posture { world_from_wrist, jaw: JAW_CLOSED });
         self.stay();
+    }
+
+    /// Says how far the jaws may be pressed into what lies under them, m.
+    pub fn give(&mut self, depth: f64) {
+        self.give = depth;
+    }
+
+    /// The lowest height that commands bring the jaws to, m.
+    fn lowest(&self) -> f64 {
+        self.support - self.give + instrument::CLEARANCE
     }
 
     /// Makes where the arm is the place from where increments count.
@@ -390,7 +403,7 @@ impl PsmArm {
     pub fn is_lowest(&self) -> bool {
         /// What counts as no higher, m.
         const ROUNDING: f64 = 1e-6;
-        let lowest = self.support + instrument::CLEARANCE + ROUNDING;
+        let lowest = self.lowest() + ROUNDING;
         let low =
             |pose: &Pose| pose.translation.z - self.instrument.depth_below_wrist(&pose.rotation);
         low(&self.commanded.scene_from_wrist) < lowest || low(&self.true_commanded()) < lowest
@@ -588,8 +601,8 @@ impl PsmArm {
         let wrist = self.reach.clamp(&target.translation.vector);
         let tip = wrist + jaws;
         let inside = self.reach.clamp(&tip) - tip;
-        let lowest = self.support + instrument::CLEARANCE;
-        let height = wrist.z.max(lowest + self.instrument.depth_below_wrist(&target.rotation));
+        let height =
+            wrist.z.max(self.lowest() + self.instrument.depth_below_wrist(&target.rotation));
         target.translation.vector = Vector3::new(wrist.x + inside.x, wrist.y + inside.y, height);
         target
     }
@@ -611,7 +624,7 @@ impl PsmArm {
         loop {
             let pose = self.true_pose(&joints);
             let low = pose.translation.z - self.instrument.depth_below_wrist(&pose.rotation);
-            let missing = self.support + instrument::CLEARANCE - low;
+            let missing = self.lowest() - low;
             if missing <= ROUNDING {
                 return Some(joints);
             }

@@ -5,6 +5,7 @@ use std::f64::consts::FRAC_PI_2;
 
 use super::objects::Object;
 use super::options::{Domain, Preset};
+use super::pad::Pad;
 use super::psm_scene::WORKSPACE;
 use crate::assets::{Model, Scaled};
 use crate::render::Scene;
@@ -34,23 +35,32 @@ pub fn bare_table(preset: Preset) -> World {
 
 /// A world with table, tray and pad, and the solver that the preset's objects need.
 pub fn furnished_world(preset: Preset) -> World {
+    padded_world(preset, Domain::default()).0
+}
+
+/// The same, where the pad gives as `domain` has it, and the pad.
+pub fn padded_world(preset: Preset, domain: Domain) -> (World, Pad) {
     let mut world = bare_table(preset);
-    for model in [Model::tray(), Model::pad()] {
-        furnish(&mut world, model, TRAY_ORIGIN);
-    }
-    world
+    let tray = furnish(&mut world, Model::tray(), TRAY_ORIGIN);
+    let pad = Pad::insert(&mut world, tray, domain);
+    (world, pad)
 }
 
 /// Puts furniture into the world, its origin at `origin` (m).
-pub fn furnish(world: &mut World, model: &Model, origin: [f64; 3]) {
+pub fn furnish(world: &mut World, model: &Model, origin: [f64; 3]) -> BodyId {
     let pose = frames::pose(origin, [0.0; 3]);
-    world.insert(Motion::Fixed, &pose, model.friction, &model.parts);
+    world.insert(Motion::Fixed, &pose, model.friction, &model.parts)
 }
 
-/// Draws the tray with the pad in it.
+/// Draws the tray with a rigid pad in it.
 pub fn draw(scene: &mut Scene) {
-    scene.add_model("tray", Model::tray(), &scene_from_tray());
+    draw_tray(scene);
     scene.add_model("pad", Model::pad(), &scene_from_tray());
+}
+
+/// Draws the tray alone.
+pub fn draw_tray(scene: &mut Scene) {
+    scene.add_model("tray", Model::tray(), &scene_from_tray());
 }
 
 /// Draws the table, 1 mm lower than the original has it: there its top is above the tray's floor.
@@ -64,7 +74,8 @@ pub fn pad() -> Aabb {
     Model::pad().aabb(&scene_from_tray())
 }
 
-fn scene_from_tray() -> Pose {
+/// The tray, and the pad in it where nothing presses on it, scene frame.
+pub fn scene_from_tray() -> Pose {
     frames::pose(TRAY_ORIGIN, [0.0; 3])
 }
 

@@ -3,7 +3,7 @@
 use trocar_proto::spec::{Allowed, OptionValue, RowSpec};
 use trocar_proto::{Code, Options};
 use trocar_server::env::Env;
-use trocar_server::sim::world::{Inertia, SUBSTEPS_PER_SECOND};
+use trocar_server::sim::world::{GRAVITY, Inertia, SUBSTEPS_PER_SECOND};
 use trocar_server::tasks::Registry;
 
 use super::{Seen, table};
@@ -74,6 +74,17 @@ fn steps_until_commands_show(mut env: Env) -> u32 {
         other.step(&vec![-1.0; dim]).unwrap();
     }
     env.steps()
+}
+
+/// How low closed jaws come that are pressed down in the middle of the workspace, m, wrist.
+fn lowest_wrist(mut env: Env) -> f64 {
+    env.reset(Some(3));
+    for step in 0..13 {
+        let action =
+            if step < 5 { [1.0, -1.0, 0.0, 0.0, -1.0] } else { [0.0, 0.0, -1.0, 0.0, -1.0] };
+        env.step(&action).unwrap();
+    }
+    f64::from(Seen::of(&env).observation[2])
 }
 
 /// Mean square of what sensors add to observed positions, m².
@@ -181,6 +192,29 @@ fn every_range_of_a_domain_does_what_it_says() {
                     let noisy = shown(fixed(id, &name, max), 50);
                     assert!(noisy != shown(plain(id), 50), "{what}: is not to be seen");
                     assert!(noisy == shown(fixed(id, &name, max), 50), "{what}");
+                }
+                "pad_stiffness" => {
+                    let sags = [min, max].map(|stiffness| {
+                        let mut env = fixed(id, &name, stiffness);
+                        env.reset(Some(3));
+                        let object = env.world().objects().next().unwrap();
+                        let weight = env.world().inertia(object).mass * GRAVITY;
+                        (Seen::of(&env).achieved[2], weight / stiffness)
+                    });
+                    let [(soft, deep), (stiff, flat)] = sags;
+                    let off = f64::from(stiff - soft) - (deep - flat);
+                    // Heights of 0.7 m are observed to 0.06 µm.
+                    assert!(off.abs() < 0.2e-6 && deep > 1e-5, "{what}: {off}");
+                }
+                "pad_depth" => {
+                    assert!(shown(fixed(id, &name, min), 50) == shown(plain(id), 50), "{what}");
+                    let shallow = 1e-4;
+                    let [deep, flat] =
+                        [max, shallow].map(|depth| lowest_wrist(fixed(id, &name, depth)));
+                    assert!(
+                        (flat - deep - (max - shallow)).abs() < 0.1e-3,
+                        "{what}: {flat} {deep}"
+                    );
                 }
                 "friction" => {
                     // It shows where something slips: what is heavy.
@@ -339,8 +373,15 @@ fn ranges_that_may_not_be_are_refused_by_name_with_what_may() {
         }
         // What only other tasks draw is no row of this one.
         let known = domain_rows(id);
-        let others =
-            ["friction", "mass", "size", "camera_pose_position", "camera_pose_angle", "wind"];
+        let others = [
+            "friction",
+            "mass",
+            "size",
+            "pad_depth",
+            "camera_pose_position",
+            "camera_pose_angle",
+            "wind",
+        ];
         for other in others.iter().filter(|other| known.iter().all(|row| row.name != **other)) {
             let refusal = refuse(other, &[1.0, 1.0]).to_string();
             assert!(refusal.contains(other) && refusal.contains("latency"), "{refusal}");

@@ -172,9 +172,11 @@ impl World {
         BodyId(self.impulse_joints.get(hinged.joint).expect("joints stay").body1())
     }
 
-    /// The pairs of bodies that a joint ties together.
+    /// The pairs of bodies that a joint ties together, springs aside.
     pub fn joints(&self) -> impl Iterator<Item = [BodyId; 2]> {
-        self.impulse_joints.iter().map(|(_, joint)| [BodyId(joint.body1()), BodyId(joint.body2())])
+        let pairs = self.impulse_joints.iter();
+        let pairs = pairs.map(|(_, joint)| [BodyId(joint.body1()), BodyId(joint.body2())]);
+        pairs.filter(|[_, body]| !self.sprung.contains(&body.0))
     }
 }
 
