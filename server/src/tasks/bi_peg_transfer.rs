@@ -154,6 +154,9 @@ const HOVER: f64 = 0.01;
 /// How far a block may sink below the pegs' tops while it is handed over, beside them, m.
 const SINKING: f64 = 5e-3;
 
+/// How much farther aside a wall must be for a radian more to turn: of two that are alike, PSM1 stays with one.
+const AS_GOOD: f64 = 0.1;
+
 /// Distance from the midline at which PSM1 waits, m.
 const WAITING: f64 = 0.025;
 
@@ -375,7 +378,11 @@ impl BiPegTransfer {
         let Layout { block, target } = self.layout;
         let (giver, taker) = (&two.wrist, &one.wrist);
         let held = peg_expert::held_wall(block, pose, giver);
-        let aside = |wall: &usize| peg_expert::outwards(block, pose, *wall).y;
+        let aside = |wall: &usize| {
+            let turn = peg_expert::grasp_in_air(block, pose, *wall, taker).rotation;
+            let turn = turn.angle_to(&one.aim.rotation);
+            peg_expert::outwards(block, pose, *wall).y - turn * AS_GOOD
+        };
         let taken = (0..Block::WALLS)
             .filter(|wall| *wall != held)
             .max_by(|a, b| aside(a).total_cmp(&aside(b)))
