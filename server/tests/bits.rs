@@ -9,6 +9,7 @@
 //! `make bits` writes the file anew, `TROCAR_BITS=starts make bits` only episodes with such a start. That is
 //! done only when physics, or with those starts the expert, changes on purpose. `TROCAR_BITS=observations make bits`
 //! writes hashes of observations alone, where a range of one was wrong: it refuses where anything else differs.
+//! `TROCAR_BITS=encoders make bits` writes hashes of episodes whose encoders err, and keeps their actions.
 
 #![expect(clippy::unwrap_used, reason = "a panic is a test's report, in its helpers too")]
 
@@ -20,7 +21,7 @@ use trocar_proto::Options;
 use trocar_proto::spec::{Allowed, OptionValue};
 use trocar_server::tasks::Registry;
 
-use format::{Episode, HASHED, decode, encode, json_of};
+use format::{Episode, HASHED, Mark, decode, encode, json_of};
 use player::Player;
 
 #[path = "bits/episodes.rs"]
@@ -236,8 +237,8 @@ fn the_file_is_small_and_has_every_task_under_all_that_changes_it() {
     }
 }
 
-/// Hashes the observations of an episode anew; everything else must be as it was.
-fn observe_anew(episode: &mut Episode) {
+/// What an episode looks like now, with the actions that it has.
+fn marks_anew(episode: &Episode) -> Vec<Mark> {
     let mut player = Player::new(episode).unwrap();
     let mut marks = vec![player.mark()];
     for action in episode.actions() {
@@ -247,6 +248,12 @@ fn observe_anew(episode: &mut Episode) {
             marks.push(player.mark());
         }
     }
+    marks
+}
+
+/// Hashes the observations of an episode anew; everything else must be as it was.
+fn observe_anew(episode: &mut Episode) {
+    let marks = marks_anew(episode);
     let observation = HASHED.iter().position(|name| *name == "observation").unwrap();
     for (old, new) in episode.marks.iter_mut().zip(marks) {
         old.hashes[observation] = new.hashes[observation];
@@ -257,7 +264,7 @@ fn observe_anew(episode: &mut Episode) {
 #[test]
 #[ignore = "writes the file: `make bits`"]
 fn write_the_file() {
-    let which = std::env::var("TROCAR_BITS").expect("TROCAR_BITS is all, starts or observations");
+    let which = std::env::var("TROCAR_BITS").expect("TROCAR_BITS says which");
     let episodes = match which.as_str() {
         "all" => episodes::record(episodes::all()),
         "starts" => {
@@ -273,7 +280,14 @@ fn write_the_file() {
             episodes.par_iter_mut().for_each(observe_anew);
             episodes
         }
-        other => panic!("TROCAR_BITS is all, starts or observations, not {other:?}"),
+        "encoders" => {
+            let mut episodes = recorded();
+            let err = |e: &&mut Episode| e.options.row("domain", "joint_offset").is_some();
+            let rows = episodes.par_iter_mut().filter(err);
+            rows.for_each(|episode| episode.marks = marks_anew(episode));
+            episodes
+        }
+        other => panic!("TROCAR_BITS is all, starts, observations or encoders, not {other:?}"),
     };
     let bytes = encode(&episodes);
     assert!(decode(&bytes) == episodes, "what is written is read alike");

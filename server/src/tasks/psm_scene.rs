@@ -16,7 +16,8 @@
 //!
 //! Every action moves from the pose that the joint sensors report. The resulting pose is confined:
 //! the wrist to the workspace and a margin around it ([`REACH`]), the tip to the same box in x and
-//! y, and the height so that the closed jaws stay 0.05 mm above the pad, or as far in it as it gives. A pose outside the arm's
+//! y, and the height so that the closed jaws, as they truly are, stay 0.05 mm above the pad, or as far in it as it
+//! gives: encoders that err keep no arm from what lies on it. A pose outside the arm's
 //! joint limits, or one that would take a whole turn of the roll, is not taken: the arm stays
 //! where it is for that step.
 //!
@@ -403,10 +404,9 @@ impl PsmArm {
     pub fn is_lowest(&self) -> bool {
         /// What counts as no higher, m.
         const ROUNDING: f64 = 1e-6;
-        let lowest = self.lowest() + ROUNDING;
-        let low =
-            |pose: &Pose| pose.translation.z - self.instrument.depth_below_wrist(&pose.rotation);
-        low(&self.commanded.scene_from_wrist) < lowest || low(&self.true_commanded()) < lowest
+        let wrist = self.true_commanded();
+        let low = wrist.translation.z - self.instrument.depth_below_wrist(&wrist.rotation);
+        low < self.lowest() + ROUNDING
     }
 
     /// How far a place is outside of where the sensed wrist may go, m.
@@ -595,15 +595,18 @@ impl PsmArm {
         numbers.map(|number| number as f32)
     }
 
-    /// The pose nearest to `target` in which wrist and tip are where they may be.
+    /// The pose nearest to `target` in which wrist and tip are where they may be. Where encoders err, the height is
+    /// that of the true jaws, see [`Self::solve_clear_of_pad`].
     fn confined(&self, mut target: Pose) -> Pose {
         let jaws = target.rotation * Vector3::z() * TIP_OFFSET;
         let wrist = self.reach.clamp(&target.translation.vector);
         let tip = wrist + jaws;
         let inside = self.reach.clamp(&tip) - tip;
-        let height =
-            wrist.z.max(self.lowest() + self.instrument.depth_below_wrist(&target.rotation));
-        target.translation.vector = Vector3::new(wrist.x + inside.x, wrist.y + inside.y, height);
+        target.translation.vector = Vector3::new(wrist.x + inside.x, wrist.y + inside.y, wrist.z);
+        if self.offsets == [0.0; 6] {
+            let lowest = self.lowest() + self.instrument.depth_below_wrist(&target.rotation);
+            target.translation.z = wrist.z.max(lowest);
+        }
         target
     }
 
