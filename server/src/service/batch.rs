@@ -6,11 +6,12 @@ use std::time::{Duration, Instant};
 use trocar_proto::control::{Autoreset, SessionRequest};
 use trocar_proto::{Code, Placement, Rejection, TaskSpec};
 
+use super::drawing;
 use super::pile::Divisible;
-use super::rows::{Pictures, Rows};
+use super::rows::Rows;
 use super::scheduler::Turn;
 use super::witness::Witness;
-use crate::env::{Env, Imaging, Rebuild, Shot};
+use crate::env::{Env, Imaging, Rebuild};
 use crate::error::StepError;
 use crate::render::Scene;
 use crate::tasks::Registry;
@@ -158,7 +159,7 @@ impl Batch {
         };
         let env = &self.envs[*id as usize];
         env.check_begun()?;
-        turn.run(Drawing { env: Some(env), view, rgb, depth }, PICTURE);
+        turn.run(drawing::One { env: Some(env), view, rgb, depth }, PICTURE);
         Ok(())
     }
 
@@ -218,7 +219,7 @@ impl Batch {
         turn.run(work, cost);
         if let Some(imaging) = self.envs[0].imaging() {
             let (envs, finals) = (&self.envs, finals.as_mut_slice());
-            let drawing = DrawingAll { envs, env_ids, imaging, finals, pictures, final_pictures };
+            let drawing = drawing::All { envs, env_ids, imaging, finals, pictures, final_pictures };
             turn.run(drawing, cost);
         }
         Ok(())
@@ -389,77 +390,6 @@ const REBUILT: Duration = Duration::from_micros(300);
 
 /// About the time that a picture takes.
 const PICTURE: Duration = Duration::from_millis(50);
-
-/// An environment that is drawn, if any.
-struct Drawing<'a> {
-    env: Option<&'a Env>,
-    view: &'a Imaging,
-    rgb: &'a mut [u8],
-    depth: &'a mut [f32],
-}
-
-impl Divisible for Drawing<'_> {
-    fn len(&self) -> usize {
-        usize::from(self.env.is_some())
-    }
-
-    fn split_at(self, at: usize) -> (Self, Self) {
-        let nothing = Self { env: None, view: self.view, rgb: &mut [], depth: &mut [] };
-        if at == 0 { (nothing, self) } else { (self, nothing) }
-    }
-
-    fn run(self) {
-        if let Some(env) = self.env {
-            let (rgb, depth) = (self.rgb, self.depth);
-            let scene = env.scene();
-            let shot = Shot { scene, rgb, depth, mask: &mut [], points: &mut [] };
-            self.view.draw(&mut [shot]);
-        }
-    }
-}
-
-/// The pictures of environments that a message was about.
-struct DrawingAll<'a> {
-    /// All of the session's.
-    envs: &'a [Env],
-    env_ids: &'a [u32],
-    imaging: &'a Imaging,
-    /// What there was to see at the ends of episodes that the same step replaced.
-    finals: &'a mut [Option<Scene>],
-    pictures: Pictures<'a>,
-    final_pictures: Pictures<'a>,
-}
-
-impl Divisible for DrawingAll<'_> {
-    fn len(&self) -> usize {
-        self.env_ids.len()
-    }
-
-    fn split_at(self, at: usize) -> (Self, Self) {
-        let Self { envs, env_ids, imaging, finals, pictures, final_pictures } = self;
-        let (ids, later_ids) = env_ids.split_at(at);
-        let (finals, later_finals) = finals.split_at_mut(at);
-        let (pictures, later_pictures) = pictures.split_at(at);
-        let (final_pictures, later_final_pictures) = final_pictures.split_at(at);
-        let part = |env_ids, finals, pictures, final_pictures| Self {
-            envs,
-            env_ids,
-            imaging,
-            finals,
-            pictures,
-            final_pictures,
-        };
-        let now = part(ids, finals, pictures, final_pictures);
-        (now, part(later_ids, later_finals, later_pictures, later_final_pictures))
-    }
-
-    fn run(self) {
-        let present = self.env_ids.iter().map(|id| Some(self.envs[*id as usize].scene()));
-        let last = self.finals.iter_mut().map(Option::take);
-        let shots = self.pictures.shots(present).chain(self.final_pictures.shots(last));
-        self.imaging.draw(&mut shots.collect::<Vec<_>>());
-    }
-}
 
 /// Environments that are copied.
 struct Copying<'a> {

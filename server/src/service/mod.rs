@@ -11,6 +11,7 @@
 //! | `session.rs` | a session: answers its client's messages |
 //! | `handle.rs` | a session as others see it: the control loop, the viewer |
 //! | `batch.rs` | the environments of a session: reset, step, autoreset |
+//! | `drawing.rs` | pictures of environments, once all of a message were stepped |
 //! | `ports.rs` | the ends of the transport: how services are made, what a reply is |
 //! | `rows.rs` | the arrays of a reply, row by row |
 //! | `store.rs` | the snapshots of a session, and the memory that they take |
@@ -29,6 +30,7 @@ mod batch;
 mod control;
 mod cpus;
 mod desk;
+mod drawing;
 mod exporter;
 mod gallery;
 mod hall;

@@ -38,7 +38,7 @@ use super::options::{self, ActionMode, Preset, Range};
 use super::rate::Rate;
 use crate::render::skeleton::Skeleton;
 use crate::render::{Jaws, Scene};
-use crate::robots::{ArmModel, JointLimit, Psm};
+use crate::robots::{ArmModel, Psm};
 use crate::sim::frames::{self, Aabb, Pose};
 use crate::sim::grasp::Grasp;
 use crate::sim::instrument::{self, Instrument, JAW_CLOSED, JAW_OPEN, Posture, TIP_OFFSET};
@@ -47,6 +47,7 @@ use crate::sim::random::Rng;
 use crate::sim::world::{BodyId, World};
 
 mod action;
+mod measured;
 mod orientation;
 mod placing;
 #[cfg(test)]
@@ -556,43 +557,6 @@ impl PsmArm {
         for (slot, number) in observation.iter_mut().zip(numbers) {
             *slot = *number as f32;
         }
-    }
-
-    /// The elements of [`Self::measured_joints`].
-    pub fn joint_elements(&self) -> Vec<Element> {
-        let names = ["yaw", "pitch", "insertion", "roll", "wrist pitch", "wrist yaw"];
-        let joint = |(name, limit): (&str, &JointLimit)| {
-            let is_length = name == "insertion";
-            let beyond = if is_length { 0.0 } else { options::MOST_JOINT_OFFSET };
-            let (min, max) = (limit.min - beyond, limit.max + beyond);
-            let unit = if is_length { "m" } else { "rad" };
-            Element::new(&format!("{name} joint"), "joint", unit, min as f32, max as f32)
-        };
-        let joints = names.into_iter().zip(self.kinematics.limits()).map(joint);
-        joints.chain([Element::new("jaw joint", "joint", "rad", -0.1, 1.0)]).collect()
-    }
-
-    /// What the joint sensors report: yaw, pitch (rad), insertion (m), roll, wrist pitch, wrist yaw, jaw (rad).
-    pub fn measured_joints(&self, world: &World) -> impl Iterator<Item = f32> {
-        self.joints.into_iter().chain([self.opening(world)]).map(|number| number as f32)
-    }
-
-    /// The elements of [`Self::measured_tip`].
-    pub fn tip_elements(&self) -> Vec<Element> {
-        let tip = self.reach.grown(TIP_OFFSET + 1e-3);
-        let mut elements = options::position_elements("tip", "scene", &tip, self.preset);
-        elements.extend(options::euler_elements("measured wrist link", "scene"));
-        elements
-    }
-
-    /// The tip of the closed jaws (x, y, z) and the extrinsic XYZ Euler angles of the wrist link (rad), as the
-    /// joint sensors report them.
-    pub fn measured_tip(&self) -> impl Iterator<Item = f32> {
-        let tip = self.scene_from_wrist * Pose::translation(0.0, 0.0, TIP_OFFSET);
-        let position = tip.translation.vector * options::position_scale(self.preset);
-        let angles = frames::euler_xyz(&(self.scene_from_wrist.rotation * wrist_from_link()));
-        let numbers = [position.x, position.y, position.z].into_iter().chain(angles);
-        numbers.map(|number| number as f32)
     }
 
     /// The pose nearest to `target` in which wrist and tip are where they may be. Where encoders err, the height is
