@@ -25,7 +25,7 @@ pub enum Answer {
     Open {
         /// What is wanted.
         request: SessionRequest,
-        /// Who asked.
+        /// The client that asked.
         client: ClientInfo,
         /// Memory it may take.
         footprint: Footprint,
@@ -34,14 +34,14 @@ pub enum Answer {
     Close {
         /// Which session.
         session: u64,
-        /// Who asked.
+        /// The client that asked.
         node: u128,
     },
     /// Drop snapshots of this session, if it belongs to this client's node.
     Forget {
         /// Which session.
         session: u64,
-        /// Who asked.
+        /// The client that asked.
         node: u128,
         /// Which snapshots.
         snapshots: Vec<u64>,
@@ -50,7 +50,7 @@ pub enum Answer {
     Export {
         /// Which session.
         session: u64,
-        /// Who asked.
+        /// The client that asked.
         node: u128,
         /// Which snapshot.
         snapshot: u64,
@@ -59,7 +59,7 @@ pub enum Answer {
     Import {
         /// Which session.
         session: u64,
-        /// Who asked.
+        /// The client that asked.
         node: u128,
         /// What is said to be a snapshot.
         bytes: Vec<u8>,
@@ -68,7 +68,7 @@ pub enum Answer {
     Place {
         /// Which session.
         session: u64,
-        /// Who asked.
+        /// The client that asked.
         node: u128,
         /// How episodes shall begin.
         placement: Placement,
