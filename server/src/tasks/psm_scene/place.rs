@@ -1,0 +1,71 @@
+//! Where an arm may go, and the joints that bring it there.
+
+use std::f64::consts::PI;
+
+use nalgebra::Vector3;
+
+use super::PsmArm;
+use crate::sim::frames::Pose;
+use crate::sim::instrument::TIP_OFFSET;
+
+impl PsmArm {
+    /// The pose nearest to `target` in which wrist and tip are where they may be. Where encoders err, the height is
+    /// that of the true jaws, see [`Self::solve_clear_of_pad`].
+    pub(super) fn confined(&self, mut target: Pose) -> Pose {
+        let jaws = target.rotation * Vector3::z() * TIP_OFFSET;
+        let wrist = self.reach.clamp(&target.translation.vector);
+        let tip = wrist + jaws;
+        let inside = self.reach.clamp(&tip) - tip;
+        target.translation.vector = Vector3::new(wrist.x + inside.x, wrist.y + inside.y, wrist.z);
+        if self.offsets == [0.0; 6] {
+            let lowest = self.lowest() + self.instrument.depth_below_wrist(&target.rotation);
+            target.translation.z = wrist.z.max(lowest);
+        }
+        target
+    }
+
+    /// The joints that bring the sensed wrist to `target` without turning the roll right round.
+    pub(super) fn solve(&self, target: &Pose) -> Option<[f64; 6]> {
+        let base_from_wrist = self.scene_from_base.inv_mul(target);
+        let joints = self.kinematics.inverse(&base_from_wrist, &self.commanded.joints).ok()?;
+        let roll = (joints[3] - self.commanded.joints[3]).abs();
+        (roll < PI).then_some(joints)
+    }
+
+    /// As [`Self::solve`], but so that encoder errors do not press the true jaws onto the pad.
+    pub(super) fn solve_clear_of_pad(&self, target: &Pose) -> Option<[f64; 6]> {
+        /// What rounding may take from the clearance, m.
+        const ROUNDING: f64 = 1e-8;
+        let mut target = *target;
+        let mut joints = self.solve(&target)?;
+        loop {
+            let pose = self.true_pose(&joints);
+            let low = pose.translation.z - self.instrument.depth_below_wrist(&pose.rotation);
+            let missing = self.lowest() - low;
+            if missing <= ROUNDING {
+                return Some(joints);
+            }
+            target.translation.z += missing;
+            joints = self.solve(&target)?;
+        }
+    }
+
+    /// The joints as sensed after the arm yielded on its way to `end`.
+    pub(super) fn joints_where_it_is(&self, end: &[f64; 6]) -> [f64; 6] {
+        let base_from_wrist =
+            self.scene_from_base.inv_mul(&self.instrument.posture().world_from_wrist);
+        let seed = std::array::from_fn(|joint| end[joint] + self.offsets[joint]);
+        match self.kinematics.inverse(&base_from_wrist, &seed) {
+            Ok(joints) => std::array::from_fn(|joint| joints[joint] - self.offsets[joint]),
+            Err(_) => self.joints, // between two poses at a limit: at most a step away
+        }
+    }
+
+    pub(super) fn pose_at(&self, joints: &[f64; 6]) -> Pose {
+        self.scene_from_base * self.kinematics.base_from_wrist(joints)
+    }
+
+    pub(super) fn true_pose(&self, joints: &[f64; 6]) -> Pose {
+        self.pose_at(&std::array::from_fn(|joint| joints[joint] + self.offsets[joint]))
+    }
+}
