@@ -320,6 +320,8 @@ impl GauzeRetrieve {
         let wrist = tip.translation.vector + Vector3::z() * TIP_OFFSET;
         let grasp = Pose::from_parts(wrist.into(), psm_scene::down());
         let carried = gauze.translation.vector;
-        Pick { object: self.gauze.body(), grasp, carried, goal: self.goal }
+        // Fingers that press on the sheet while they close stay in touch with it.
+        let press = self.pad.as_ref().map_or(0.0, Pad::depth);
+        Pick { object: self.gauze.body(), grasp, press, carried, goal: self.goal }
     }
 }

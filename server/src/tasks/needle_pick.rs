@@ -125,6 +125,9 @@ use crate::sim::world::{BodyId, World};
 /// 1: the finger's end is then as far above the pad as it may be.
 const GRASP_DEPTH: f64 = 0.45e-3;
 
+/// How far below the grasp the expert sends the wrist, m: it bears heights that are wrong by half as much.
+const PRESS: f64 = 2e-3;
+
 /// Height of the middle of the arc above the pad from which a tie may hold the needle under
 /// `grasp = "weld"`, m. Source: the original, which takes 5 mm from where it lay.
 const WELD_LIFT: f64 = 0.0055;
@@ -313,7 +316,7 @@ impl NeedlePick {
         let at = carried + Vector3::z() * (TIP_OFFSET - GRASP_DEPTH * self.needle.form().size());
         let rotation = pick::jaws_across(&wire, wrist);
         let grasp = Pose::from_parts(at.into(), rotation);
-        Pick { object: self.needle.body(), grasp, carried, goal: self.goal }
+        Pick { object: self.needle.body(), grasp, press: PRESS, carried, goal: self.goal }
     }
 }
 

@@ -1,8 +1,9 @@
 //! The scripted expert of tasks in which one arm picks up an object and brings it to a goal.
 //!
 //! It looks only at the present state, so it picks up again what it has lost: open the jaws above
-//! the object, go down, close, lift as high as the goal is, go there and stay. How deep a grasp is, is not commanded:
-//! the jaws go down until they are as low as they may be, or something holds them up, and press on while they close.
+//! the object, go down, close, lift as high as the goal is, go there and stay. Where they may press on what lies
+//! below, how deep a grasp is, is not commanded: the jaws go down until they are as low as they may be, or something
+//! holds them up, and press on while they close.
 
 use nalgebra::{UnitQuaternion, Vector3};
 use trocar_proto::Stage;
@@ -28,9 +29,6 @@ const TURNED: f64 = 0.1;
 const LOW: f64 = 0.3e-3;
 const LOW_ENOUGH: f64 = 1.5e-3;
 
-/// How far below the grasp the wrist is sent, m: what is below stops it.
-const PRESS: f64 = 2e-3;
-
 /// How far the wrist may be from the grasp while the jaws close, m.
 const CLOSING: f64 = 3e-3;
 
@@ -48,6 +46,8 @@ pub struct Pick {
     pub object: BodyId,
     /// The wrist that grasps it.
     pub grasp: Pose,
+    /// How far below it the wrist is sent, m: what is below stops it.
+    pub press: f64,
     /// What of the object is to come to the goal, m.
     pub carried: Vector3<f64>,
     /// Where that is to go, m.
@@ -98,12 +98,12 @@ impl Pick {
             let stage = if self.is_high() { Stage::Carry } else { Stage::Lift };
             return (stage, Pose::from(way) * arm.wrist, JAW_CLOSED);
         }
-        let deep = Pose::from(Vector3::z() * -PRESS) * self.grasp;
+        let deep = Pose::from(Vector3::z() * -self.press) * self.grasp;
         let off = arm.aim.translation.vector - self.grasp.translation.vector;
         let turned = (arm.aim.rotation * self.grasp.rotation.inverse()).scaled_axis().z.abs();
         let (aside, is_turned) = (off.xy().norm(), turned < TURNED);
         let is_low = off.z < LOW || off.z < LOW_ENOUGH && (arm.is_held_up() || arm.is_lowest());
-        let is_closing = arm.closes() && off.norm() < CLOSING + PRESS && !arm.is_closed();
+        let is_closing = arm.closes() && off.norm() < CLOSING + self.press && !arm.is_closed();
         let is_about = aside < ABOUT && is_turned && is_low && arm.is_open() && !arm.closes();
         let hover = Pose::from(Vector3::z() * HOVER) * self.grasp;
         let is_aligned = aside < ALIGNED || aside < ABOUT && arm.shortfall(&hover) > 0.0;
