@@ -384,7 +384,11 @@ impl PsmArm {
 
     /// The wrist where it truly will be when the arm is where the latest command asked it to be, scene frame.
     pub fn true_commanded(&self) -> Pose {
-        self.true_pose(&self.commanded.joints)
+        if self.errs() {
+            self.true_pose(&self.commanded.joints)
+        } else {
+            self.commanded.scene_from_wrist
+        }
     }
 
     /// How far the jaws are told to be open now, on their way to what the latest command asked for, rad.
@@ -498,11 +502,14 @@ impl PsmArm {
             target = action::moved(&target, step, turn);
         }
         let before = self.commanded;
-        let joints = self.solve_clear_of_pad(&self.confined(target)).unwrap_or(before.joints);
+        let (joints, world_from_wrist) = self
+            .solve_clear_of_pad(&self.confined(target))
+            .unwrap_or_else(|| (before.joints, self.true_pose(&before.joints)));
+        let scene_from_wrist = if self.errs() { self.pose_at(&joints) } else { world_from_wrist };
         let most = (JAW_OPEN - JAW_CLOSED) * self.rate.scale();
         let turn = asked - before.jaw;
         let jaw = if turn.abs() <= most { asked } else { before.jaw + most.copysign(turn) };
-        let end = Posture { world_from_wrist: self.true_pose(&joints), jaw };
+        let end = Posture { world_from_wrist, jaw };
         self.profile = if self.rate.is_nominal() {
             Profile::Smoothstep { start, end }
         } else {
@@ -510,7 +517,7 @@ impl PsmArm {
             let via = Posture { world_from_wrist, jaw: before.jaw };
             Profile::Bend { start, via, end: via.towards(&end, 0.5, 0.5) }
         };
-        self.commanded = Commanded { joints, scene_from_wrist: self.pose_at(&joints), jaw };
+        self.commanded = Commanded { joints, scene_from_wrist, jaw };
         asked < 0.5 * (JAW_CLOSED + JAW_OPEN)
     }
 

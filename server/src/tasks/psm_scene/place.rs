@@ -32,8 +32,9 @@ impl PsmArm {
         (roll < PI).then_some(joints)
     }
 
-    /// As [`Self::solve`], but so that encoder errors do not press the true jaws onto the pad.
-    pub(super) fn solve_clear_of_pad(&self, target: &Pose) -> Option<[f64; 6]> {
+    /// As [`Self::solve`], but so that encoder errors do not press the true jaws onto the pad; and where the true
+    /// wrist then is.
+    pub(super) fn solve_clear_of_pad(&self, target: &Pose) -> Option<([f64; 6], Pose)> {
         /// What rounding may take from the clearance, m.
         const ROUNDING: f64 = 1e-8;
         let mut target = *target;
@@ -43,7 +44,7 @@ impl PsmArm {
             let low = pose.translation.z - self.instrument.depth_below_wrist(&pose.rotation);
             let missing = self.lowest() - low;
             if missing <= ROUNDING {
-                return Some(joints);
+                return Some((joints, pose));
             }
             target.translation.z += missing;
             joints = self.solve(&target)?;
@@ -63,6 +64,11 @@ impl PsmArm {
 
     pub(super) fn pose_at(&self, joints: &[f64; 6]) -> Pose {
         self.scene_from_base * self.kinematics.base_from_wrist(joints)
+    }
+
+    /// Whether the encoders err, so that the arm is not where they have it.
+    pub(super) fn errs(&self) -> bool {
+        self.offsets != [0.0; 6]
     }
 
     pub(super) fn true_pose(&self, joints: &[f64; 6]) -> Pose {
