@@ -137,7 +137,11 @@ and, in Python, gym.make(\"trocar:trocar/{PICTURED}\").",
         eprintln!("Drawing the scripted expert of {PICTURED} (trocar render).");
         let mut render = Command::new(this);
         render.args(["render", "--task", PICTURED, "--out"]).arg(&self.out);
-        if !render.status()?.success() {
+        let drawn = render.status()?.success();
+        if INTERRUPTED.load(Ordering::Acquire) {
+            bail!("interrupted");
+        }
+        if !drawn {
             bail!("{} could not be drawn; --out may name another file", self.out.display());
         }
         Ok(())
