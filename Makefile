@@ -32,6 +32,10 @@ PYTHON_CODE := . ../server/cli/src/demo ../server/cli/src/bench ../server/cli/sr
 RL_BIN := $(abspath .venv-rl/bin)
 RLLIB_BIN := $(abspath .venv-rllib/bin)
 RL_TEST := TROCAR_BINARY=$(TARGET)/debug/trocar
+# Builds the bindings where the sources are, for every virtual environment that has a path to them. Installing the
+# package would fetch trocar-server, on which it depends and which this tree builds itself.
+DEVELOP := cd client-py && VIRTUAL_ENV=$(abspath $(VENV)) $(BIN)/maturin develop --quiet --skip-install --locked
+LINK = echo $(CURDIR)/client-py/python > $$($(@D)/bin/python -c 'import sysconfig; print(sysconfig.get_path("purelib"))')/trocar.pth
 PIP_INSTALL := -m pip install --quiet --disable-pip-version-check
 
 .PHONY: help
@@ -43,10 +47,10 @@ help:
 # ---- Running ----
 
 .PHONY: demo
-demo: $(VENV)/ready ## * one server, a Rust and two Python clients at once; ends with a table and target/tasks.png
+demo: $(VENV)/ready ## * one server, a Rust and two Python clients at once; a table, target/demo.gif and target/tasks.png
 	$(CARGO) build --release --locked -p trocar
-	cd client-py && VIRTUAL_ENV=$(abspath $(VENV)) $(BIN)/maturin develop --quiet --release --locked
-	$(TARGET)/release/trocar demo --python $(BIN)/python
+	$(DEVELOP) --release
+	$(TARGET)/release/trocar demo --python $(BIN)/python --out $(TARGET)/demo.gif
 	$(TARGET)/release/trocar render --out $(TARGET)/tasks.png
 
 # Also what `every_task_looks_as_it_did` expects.
@@ -127,7 +131,7 @@ test-wheels: $(VENV)/ready ## * both wheels with the oldest Gymnasium, without R
 	$(BIN)/maturin build --profile dev --locked --manifest-path server/cli/Cargo.toml --out $(TARGET)/test-wheels
 	$(PYTHON) -m venv --clear $(WHEEL_VENV)
 	$(WHEEL_BIN)/python $(PIP_INSTALL) --require-hashes -r client-py/requirements-oldest.lock
-	$(WHEEL_BIN)/python $(PIP_INSTALL) --no-index --no-deps $(TARGET)/test-wheels/*.whl
+	$(WHEEL_BIN)/python $(PIP_INSTALL) --no-index --find-links $(TARGET)/test-wheels trocar
 	cd / && PATH=$(WHEEL_BIN) trocar --version
 	cd / && PATH=$(WHEEL_BIN) python $(CURDIR)/client-py/examples/random_policy.py
 	cd client-py && PATH=$(WHEEL_BIN):/usr/bin:/bin python -m pytest tests -k $(WHEEL_TESTS)
@@ -142,7 +146,6 @@ test-browser: lint-viewer $(VENV)/ready ## * the live viewer in a headless Chrom
 
 .PHONY: test-rl
 test-rl: develop .venv-rl/ready .venv-rllib/ready ## * SB3, TorchRL, CleanRL, RLlib: tests, examples; fetches 5 GB
-	for venv in .venv-rl .venv-rllib; do VIRTUAL_ENV=$(CURDIR)/$$venv $(BIN)/maturin develop --quiet --locked --manifest-path client-py/Cargo.toml; done
 	cd client-py && $(RL_BIN)/mypy python/trocar/sb3.py python/trocar/{demos,rl}/*.py tests/rl/test_{sb3,demos,algorithms,curriculum,training}.py examples/her_needle_reach.py examples/worker_processes.py
 	cd client-py && $(RL_TEST) $(RL_BIN)/python -m pytest -W ignore::DeprecationWarning tests/rl python/trocar/sb3.py
 	cd client-py && $(RL_TEST) $(RL_BIN)/python examples/her_needle_reach.py --steps 3000 --out $(TARGET)/her_needle_reach
@@ -168,7 +171,7 @@ soak: develop ## * the long bars: 1,000,000 fuzzed messages, long multi-process 
 .PHONY: bench
 bench: develop ## * all steps per second (trocar bench); criterion: kinematics, steps, snapshots, a round trip
 	$(CARGO) build --release --locked -p trocar
-	cd client-py && VIRTUAL_ENV=$(abspath $(VENV)) $(BIN)/maturin develop --quiet --release --locked
+	$(DEVELOP) --release
 	TROCAR_PYTHON=$(BIN)/python $(TARGET)/release/trocar bench
 	$(CARGO) bench $(RUST)
 
@@ -177,7 +180,7 @@ bench: develop ## * all steps per second (trocar bench); criterion: kinematics, 
 release: $(VENV)/ready
 	$(CARGO) build --release --locked -p trocar
 	$(CARGO) build --release --locked -p trocar-server --example in_process
-	cd client-py && VIRTUAL_ENV=$(abspath $(VENV)) $(BIN)/maturin develop --quiet --release --locked
+	$(DEVELOP) --release
 
 .PHONY: bench-async
 bench-async: release ## * 64 environments: a session against Gymnasium's AsyncVectorEnv, in turns
@@ -219,7 +222,7 @@ clean: ## removes all that the targets above made
 .PHONY: develop
 develop: $(VENV)/ready
 	$(CARGO) build $(RUST) --bin trocar --example own_task
-	cd client-py && VIRTUAL_ENV=$(abspath $(VENV)) $(BIN)/maturin develop --quiet --locked
+	$(DEVELOP)
 
 $(PLOT_VENV)/ready: client-py/requirements-bench.lock
 	$(PYTHON) -m venv --clear $(PLOT_VENV)
@@ -229,10 +232,12 @@ $(PLOT_VENV)/ready: client-py/requirements-bench.lock
 $(VENV)/ready: client-py/requirements-dev.lock
 	$(PYTHON) -m venv --clear $(VENV)
 	$(VENV)/bin/python $(PIP_INSTALL) --require-hashes -r $<
+	$(LINK)
 	touch $@
 
 # Without dependencies: the lock files have all of them, less what torch needs on a GPU only.
 .venv-%/ready: client-py/requirements-%.lock
 	$(PYTHON) -m venv --clear $(@D)
 	$(@D)/bin/python $(PIP_INSTALL) --require-hashes --no-deps -r $<
+	$(LINK)
 	touch $@

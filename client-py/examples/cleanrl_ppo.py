@@ -3,7 +3,7 @@
 `same_step` autoreset keeps every transition a real one; where an episode was cut short, its last
 observation is in `infos["final_obs"]`.
 
-    pip install trocar[server] torch
+    pip install trocar torch
     python cleanrl_ppo.py
 """
 

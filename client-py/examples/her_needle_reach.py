@@ -4,7 +4,7 @@ Eight environments fill one replay buffer. After every 20 episodes the policy is
 others; the best is saved, and in the end scored on 200 with fresh seeds. It writes OUT.zip (the
 policy) and OUT.png (the learning curve).
 
-    pip install trocar[server,sb3] matplotlib
+    pip install trocar[sb3] matplotlib
     python her_needle_reach.py --out her_needle_reach
 """
 

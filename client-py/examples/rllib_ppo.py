@@ -5,7 +5,7 @@ runners are processes: `trocar:` before the id imports the package there, and al
 server of this program. On a cluster, start `trocar serve --name NAME` on each node and add
 `"server": NAME` to `env_config`.
 
-    pip install trocar[server,rllib]
+    pip install trocar[rllib]
     python rllib_ppo.py
 """
 

@@ -2,7 +2,7 @@
 
 TorchRL resets by itself what has ended, so the environments are made with `disabled` autoreset.
 
-    pip install trocar[server,torchrl]
+    pip install trocar[torchrl]
     python torchrl_ppo.py
 """
 

@@ -3,7 +3,7 @@
 Every worker opens an environment of its own; all share the private server of this program, which
 ends with it. One session of many environments is faster: see her_needle_reach.py.
 
-    pip install trocar[server,sb3]
+    pip install trocar[sb3]
     python worker_processes.py
 """
 

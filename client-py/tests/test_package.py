@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -37,6 +38,11 @@ def test_stubs_are_those_of_the_module() -> None:
         check=False,
     )
     assert checked.returncode == 0, checked.stdout
+
+
+def test_the_package_depends_on_the_program_of_its_own_version() -> None:
+    metadata = (Path(__file__).parent.parent / "pyproject.toml").read_text()
+    assert re.findall('"trocar-server(.*)"', metadata) == [f"=={trocar.__version__}"]
 
 
 def test_the_module_says_where_the_program_is() -> None:

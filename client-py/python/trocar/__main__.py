@@ -1,9 +1,13 @@
-"""``python -m trocar``: says where the server's program is; with arguments, runs it with them."""
+"""``python -m trocar``: says where the program is; with arguments, runs it in this environment.
+
+What the program itself starts in Python runs in this Python, unless ``$TROCAR_PYTHON`` names
+another.
+"""
 
 import os
 import sys
 
-from trocar import __version__
+from trocar import __version__, _trocar
 from trocar.errors import LaunchError
 from trocar.server import binary
 
@@ -14,9 +18,16 @@ def main() -> None:
         program = binary()
     except LaunchError as error:
         sys.exit(f"trocar {__version__}: {error}")
-    if len(sys.argv) > 1:
-        os.execv(program, [program, *sys.argv[1:]])
-    print(program)
+    if len(sys.argv) == 1:
+        print(program)
+        return
+    python = os.environ.get("TROCAR_PYTHON") or sys.executable
+    variables = {**os.environ, "TROCAR_PYTHON": python}
+    try:
+        os.execve(program, [program, *sys.argv[1:]], variables)
+    except OSError as error:
+        advice = f"${_trocar.BINARY} may name another program"
+        sys.exit(f"trocar {__version__}: {program}: {error.strerror}; {advice}")
 
 
 if __name__ == "__main__":

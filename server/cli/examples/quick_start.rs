@@ -1,4 +1,4 @@
-//! The Rust quick start of README.md, word for word; a test compares and runs it.
+//! The Rust quick start of docs/rust.md, word for word; a test compares and runs it.
 #![allow(clippy::print_stdout)]
 
 use trocar_client::{Client, SessionRequest};

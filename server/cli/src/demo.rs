@@ -1,4 +1,4 @@
-//! `trocar demo`: one server, a Rust and two Python clients at work at the same time.
+//! `trocar demo`: a moving picture of a task; then one server, a Rust and two Python clients at work at the same time.
 //!
 //! Every client is a process of its own. It says when it is ready, begins at a line on its stdin,
 //! and reports [`Progress`] as JSON lines on its stdout, which are drawn here.
@@ -6,7 +6,7 @@
 pub(crate) mod client;
 mod display;
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{self, RecvTimeoutError};
@@ -18,35 +18,42 @@ use serde::{Deserialize, Serialize};
 use trocar_proto::endpoint::{Endpoint, ServerName};
 
 use crate::output;
-use crate::process::{OwnServer, Process};
+use crate::process::{self, OwnServer, Process};
 use display::Display;
 
 /// How long clients may be silent.
 const PATIENCE: Duration = Duration::from_mins(1);
 
-/// Show one server with a Rust and two Python clients at work.
+/// Show a robot at work, and one server with a Rust and two Python clients.
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
-  make demo                                     builds all that is needed, then runs this
+  python -m trocar demo                         the clients run in this Python
   trocar demo --python .venv/bin/python         a Python that has the package trocar
-  trocar demo --seconds 60 --envs 256
+  trocar demo --seconds 600 --envs 256          time enough to watch it in the viewer
+  make demo                                     builds all that is needed, then runs this
 
-Nothing is left behind, however the demonstration ends.")]
+Nothing but the picture is left behind, however the demonstration ends.")]
 pub(crate) struct Demo {
     /// How long the clients work, s
-    #[arg(long, default_value_t = 10.0)]
+    #[arg(long, default_value_t = 5.0)]
     seconds: f64,
     /// Environments of each client
     #[arg(long, default_value_t = 64, value_parser = clap::value_parser!(u32).range(1..))]
     envs: u32,
-    /// The Python that has the package trocar
-    #[arg(long, value_name = "PATH", default_value = "python3")]
-    python: PathBuf,
+    /// The Python that has the package trocar [default: $TROCAR_PYTHON, else python3]
+    #[arg(long, value_name = "PATH")]
+    python: Option<PathBuf>,
+    /// The file of the moving picture
+    #[arg(long, value_name = "FILE.gif", default_value = "trocar-demo.gif")]
+    out: PathBuf,
     /// Also one JSON object per client and line, on stdout
     #[arg(long)]
     json: bool,
 }
+
+/// The task of the moving picture.
+const PICTURED: &str = "NeedlePick-v0";
 
 /// The program of the Python clients, twin of [`client`].
 const PYTHON_CLIENT: &str = include_str!("demo/worker.py");
@@ -98,9 +105,11 @@ static INTERRUPTED: AtomicBool = AtomicBool::new(false);
 impl Demo {
     pub(crate) fn run(self) -> anyhow::Result<()> {
         ctrlc::set_handler(|| INTERRUPTED.store(true, Ordering::Release))?;
+        let this = std::env::current_exe()?;
+        self.draw(&this)?;
         let name: ServerName = format!("demo-{}", std::process::id()).parse()?;
         let endpoint = Endpoint::new(&name);
-        let played = self.play(&name);
+        let played = self.play(&this, &name);
         // Whatever happened, every process has ended by now.
         endpoint.remove_if_unused()?;
         let last = played?;
@@ -110,26 +119,49 @@ impl Demo {
             bail!("left in /dev/shm: {left:?}");
         }
         eprintln!(
-            "The server and its {} clients have ended; nothing is left in /dev/shm.",
-            PARTS.len()
+            "The server and its {} clients have ended; nothing is left in /dev/shm.
+
+The moving picture is {}: open it in a browser. Then try
+  python -m trocar demo --seconds 600                            to watch it in the viewer
+  python -m trocar render --task PegTransfer-v0 --out peg.gif    another task's picture
+  python -m trocar tasks                                         what there is to learn
+and, in Python, gym.make(\"trocar:trocar/{PICTURED}\").",
+            PARTS.len(),
+            std::path::absolute(&self.out)?.display(),
         );
         Ok(())
     }
 
+    /// Lets `trocar render` draw the moving picture.
+    fn draw(&self, this: &Path) -> anyhow::Result<()> {
+        eprintln!("Drawing the scripted expert of {PICTURED} (trocar render).");
+        let mut render = Command::new(this);
+        render.args(["render", "--task", PICTURED, "--out"]).arg(&self.out);
+        let drawn = render.status()?.success();
+        if INTERRUPTED.load(Ordering::Acquire) {
+            bail!("interrupted");
+        }
+        if !drawn {
+            bail!("{} could not be drawn; --out may name another file", self.out.display());
+        }
+        Ok(())
+    }
+
     /// Runs the server and its clients; returns every client's last report.
-    fn play(&self, name: &ServerName) -> anyhow::Result<Vec<Progress>> {
-        let this = std::env::current_exe()?;
+    fn play(&self, this: &Path, name: &ServerName) -> anyhow::Result<Vec<Progress>> {
         eprintln!(
-            "Starting one server, and {} client processes of {} environments each.",
+            "Starting one server, and {} client processes of {} environments each, for {} s.",
             PARTS.len(),
-            self.envs
+            self.envs,
+            self.seconds
         );
         let server = OwnServer::start(name, &[])?;
+        eprintln!("Watch it meanwhile at http://{}", server.viewer()?);
 
         let (sender, reports) = mpsc::channel();
         let mut workers = Vec::new();
         for (index, part) in PARTS.iter().enumerate() {
-            let command = self.command(&this, *part, name);
+            let command = self.command(this, *part, name);
             let mut worker = Process::start(part.name, command)?;
             worker.report_to(index, sender.clone());
             workers.push(worker);
@@ -166,13 +198,13 @@ impl Demo {
     }
 
     /// The program of one client.
-    fn command(&self, this: &PathBuf, part: Part, server: &ServerName) -> Command {
+    fn command(&self, this: &Path, part: Part, server: &ServerName) -> Command {
         let mut command = if part.language == "Rust" {
             let mut command = Command::new(this);
             command.arg("demo-client");
             command
         } else {
-            let mut command = Command::new(&self.python);
+            let mut command = Command::new(self.python.clone().unwrap_or_else(process::python));
             command.args(["-c", PYTHON_CLIENT]);
             command
         };

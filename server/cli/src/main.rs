@@ -7,7 +7,7 @@
 //! | `render.rs` | pictures of rollouts: contact sheets, moving pictures |
 //! | `record.rs`, `replay.rs` | episodes as files, from which they are played again |
 //! | `demos.rs` | scripted experts as data sets |
-//! | `demo.rs` | one server and three clients in two languages at once |
+//! | `demo.rs` | a moving picture; one server and three clients in two languages at once |
 //! | `load.rs` | many clients at once that are killed and stopped, each compared with a twin |
 //! | `policy.rs`, `network.rs` | who acts: experts, chance, policies that were trained |
 //! | `process.rs`, `options.rs` | processes that are started; options as text |
@@ -53,6 +53,7 @@ struct Cli {
 
 const AFTER_HELP: &str = "\
 A first session:
+  trocar demo                                    a moving picture, a server and three clients
   trocar tasks                                   what there is to learn
   trocar rollout --task NeedleReach-v0           how well its scripted expert does, in this process
   trocar render --out all.png                    what every task looks like
@@ -106,7 +107,7 @@ enum Command {
     /// One client of the load
     #[command(hide = true)]
     LoadClient(load::worker::LoadClient),
-    /// Show one server with a Rust and two Python clients at work (`make demo`)
+    /// Show a robot at work, and one server with a Rust and two Python clients
     Demo(demo::Demo),
     /// One client of the demonstration
     #[command(hide = true)]

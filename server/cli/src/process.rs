@@ -1,6 +1,7 @@
 //! Processes that this one starts, which never outlive the values that stand for them.
 
 use std::io::{BufRead, BufReader, Write};
+use std::net::SocketAddr;
 use std::os::unix::process::CommandExt;
 use std::path::PathBuf;
 use std::process::{Child, Command, Stdio};
@@ -153,6 +154,12 @@ impl OwnServer {
     /// Its process id.
     pub(crate) fn pid(&self) -> u32 {
         self.process.pid()
+    }
+
+    /// The address of its live viewer, which is started if need be.
+    pub(crate) fn viewer(&self) -> anyhow::Result<SocketAddr> {
+        let client = self.client.as_ref().expect("it is there until the server is stopped");
+        Ok(client.viewer()?)
     }
 
     /// Ends it in order.

@@ -73,11 +73,9 @@ const link = new Link({
   },
   sessions({ list }) {
     sessions = list;
-    if (isFirst) {
-      const wanted = fromAddress();
-      if (!watched && list.some(({ id }) => id === wanted?.session)) watch(wanted.session, wanted.env);
-      else if (!watched && player === tape && list.length) watch(list[0].id, 0);
-    }
+    const wanted = isFirst ? fromAddress() : null;
+    if (!watched && list.some(({ id }) => id === wanted?.session)) watch(wanted.session, wanted.env);
+    else if (!watched && (list.length === 1 || (isFirst && player === tape && list.length))) watch(list[0].id, 0);
     isFirst = false;
     showSessions();
   },
@@ -264,7 +262,6 @@ const actions = {
   camera(name) {
     if (!hasScene) return;
     ({ overview: () => theatre.overview(), close: () => theatre.closeUp(), endoscope: () => theatre.rideEndoscope() })[name]();
-    press("cameras", "camera", name);
   },
   contacts() {
     theatre.showsContacts = !theatre.showsContacts;
@@ -338,8 +335,15 @@ element("env").onchange = ({ target }) => {
 element("theatre").addEventListener("pointerdown", () => {
   theatre.takeCamera();
 });
-theatre.onFree = () => press("cameras", "camera", "");
-press("cameras", "camera", "overview");
+theatre.onView = (name) => press("cameras", "camera", name);
+theatre.clearing = () => {
+  const [whole, bar, readout, curve] = ["theatre", "bar", "readout", "curve"].map((id) => element(id).getBoundingClientRect());
+  // In a narrow window the numbers are below, too.
+  const isBelow = readout.left - whole.left < whole.width / 2;
+  const right = isBelow ? whole.right : readout.left;
+  const bottom = isBelow ? readout.top : curve.top;
+  return [0, bar.bottom - whole.top, right - whole.left, bottom - whole.top];
+};
 showSessions();
 
 function tick(now) {

@@ -45,7 +45,7 @@ function fill(card, session) {
   put(".latency", `p50 ${micros(session.p50_us)} · p99 ${micros(session.p99_us)}`);
   card.querySelector(".meter").style.visibility = rate === null ? "hidden" : "visible";
   card.querySelector(".meter i").style.width = `${100 * (rate ?? 0)}%`;
-  card.title = `session ${session.id}: ${session.task}, ${whole.format(session.episodes)} episodes; success of the latest 100`;
+  card.title = `session ${session.id} of ${session.language} ${session.pid}: ${session.task}, ${whole.format(session.episodes)} episodes; success of the latest 100`;
 }
 
 function fillTape(card, { language, task, envs }) {

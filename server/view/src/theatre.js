@@ -3,7 +3,7 @@
 import {
   BufferAttribute, BufferGeometry, Color, ConeGeometry, CylinderGeometry, DirectionalLight, Fog,
   Group, HemisphereLight, InstancedMesh, Matrix4, Mesh, MeshBasicMaterial, MeshStandardMaterial, NeutralToneMapping, PCFShadowMap,
-  PerspectiveCamera, PMREMGenerator, Quaternion, Raycaster, Scene, SphereGeometry, Vector2, Vector3, WebGLRenderer,
+  PerspectiveCamera, PMREMGenerator, Quaternion, Raycaster, Scene, Sphere, SphereGeometry, Vector2, Vector3, WebGLRenderer,
 } from "three";
 import { OrbitControls } from "three/addons/controls/OrbitControls.js";
 import { RoomEnvironment } from "three/addons/environments/RoomEnvironment.js";
@@ -16,6 +16,10 @@ const LATE = 70;
 /** OpenCV's cameras look along z with y down, three.js's along −z with y up. */
 const FROM_OPENCV = new Quaternion(1, 0, 0, 0);
 const BACKDROP = 0x141a20;
+/** What has a larger radius is what objects lie on, m. */
+const LARGEST_OBJECT = 0.03;
+/** The angle of a close view from the upper to the lower edge, rad. */
+const CLOSE_VIEW = 0.7;
 
 export class Theatre {
   camera = new PerspectiveCamera(45, 1, 0.005, 30);
@@ -33,7 +37,10 @@ export class Theatre {
   #card = null;
   #place = "";
   #contacts = new Contacts();
-  #ride = false;
+  /** "overview", "close", "endoscope", or nothing where the user has the camera. */
+  #view = "";
+  /** Where the camera's axis is in the window, of its width and height from the middle. */
+  #shift = [0, 0];
   #endoscope = null;
   #lens = new PerspectiveCamera(60, 1, 0.01, 10);
   /** A canvas that shows what the endoscope sees, or none. */
@@ -44,8 +51,10 @@ export class Theatre {
   #fineness = this.#isSlow ? 0.6 : 1;
   #drawn = 0;
   #late = 0;
-  /** Called when the user takes the camera. */
-  onFree = () => {};
+  /** Called with the name of another view; with none when the user takes the camera. */
+  onView = () => {};
+  /** What of the canvas no panel covers: left, top, right, bottom, px. */
+  clearing = () => [0, 0, this.#canvas.clientWidth, this.#canvas.clientHeight];
 
   constructor(canvas) {
     this.#canvas = canvas;
@@ -118,8 +127,6 @@ export class Theatre {
       return mesh;
     });
     this.#light(card);
-    if (card.place !== this.#place) this.overview();
-    this.#place = card.place;
   }
 
   #material({ colour, metallic, roughness }, isGoal) {
@@ -165,7 +172,10 @@ export class Theatre {
     this.#parts.forEach((part, index) => place(part, frame.poses, 7 * index, before?.poses, fraction));
     this.#contacts.show(frame.contacts);
     this.#endoscope = frame.endoscope;
-    if (this.#ride) this.#rideAlong();
+    if (card.place !== this.#place) this.#open();
+    else if (this.#view === "close") this.closeUp();
+    this.#place = card.place;
+    if (this.#view === "endoscope") this.#rideAlong();
     this.#dirty = true;
   }
 
@@ -178,6 +188,16 @@ export class Theatre {
     return this.#contacts.group.visible;
   }
 
+  /** The first view: of the jaws at work, where there are any. */
+  #open() {
+    if (this.#jaws().length > 0) this.closeUp();
+    else this.overview();
+  }
+
+  #jaws() {
+    return this.#parts.filter((part) => /jaw_\d+_link$/.test(part.name));
+  }
+
   /** Looks from where the task's overview is. */
   overview() {
     const { pose, view } = this.#card.overview;
@@ -186,26 +206,38 @@ export class Theatre {
     const forward = new Vector3(0, 0, -1).applyQuaternion(turn);
     const [low, high] = this.#card.stage.map((corner) => new Vector3(...corner));
     const distance = low.add(high).multiplyScalar(0.5).sub(eye).dot(forward);
-    this.#look(eye, eye.clone().addScaledVector(forward, distance), view);
+    this.#shift = [0, 0];
+    this.#look("overview", eye, eye.clone().addScaledVector(forward, distance), view);
   }
 
-  /** Looks at the jaws from near by; at the endoscope's tip where there are none. */
+  /** Jaws and objects, or the endoscope's tip: a sphere around them. */
+  #seen() {
+    const jaws = this.#jaws();
+    const isObject = (part) => !/^(psm|ecm|other )/.test(part.name) && sphereOf(part).radius < LARGEST_OBJECT;
+    const scope = this.#parts.filter((part) => part.name.startsWith("ecm")).slice(-1);
+    const seen = jaws.length > 0 ? [...jaws, ...this.#parts.filter(isObject)] : scope;
+    return seen.reduce((all, part) => all.union(sphereOf(part)), new Sphere().makeEmpty());
+  }
+
+  /** Lets the jaws, and what they are to work with, fill what no panel covers, and goes with them. */
   closeUp() {
-    const jaw = this.#parts.filter((part) => part.name.endsWith("jaw_1_link"));
-    const scope = this.#parts.filter((part) => part.name.startsWith("ecm"));
-    const seen = jaw.length > 0 ? jaw : scope.slice(-1);
-    const target = new Vector3();
-    seen.forEach((part) => target.addScaledVector(part.position, 1 / seen.length));
+    const { center, radius } = this.#seen();
+    const { clientWidth: width, clientHeight: height } = this.#canvas;
+    const [left, top, right, bottom] = this.clearing();
+    this.#shift = [(left + right) / 2 / width - 0.5, (top + bottom) / 2 / height - 0.5];
+    // The sphere's outline touches the nearer edges of that part.
+    const half = Math.min(right - left, bottom - top) / Math.min(width, height);
+    const distance = radius * Math.hypot(1, 1 / (half * Math.tan(CLOSE_VIEW / 2)));
     const from = new Vector3(0.75, 0.5, 0.42).normalize();
-    const distance = jaw.length > 1 ? 0.26 : jaw.length === 1 ? 0.15 : 0.5;
-    this.#look(target.clone().addScaledVector(from, distance), target, 0.7);
+    this.#look("close", center.clone().addScaledVector(from, distance), center, CLOSE_VIEW);
   }
 
   /** Looks through the endoscope, and goes with it. */
   rideEndoscope() {
     if (!this.#endoscope) return;
-    this.#ride = true;
+    this.#turnTo("endoscope");
     this.#controls.enabled = false;
+    this.#shift = [0, 0];
     this.#rideAlong();
     this.#dirty = true;
   }
@@ -218,22 +250,26 @@ export class Theatre {
 
   /** Takes the camera off the endoscope, a little further back along its axis. */
   #free() {
-    if (this.#ride) {
-      this.#ride = false;
+    if (this.#view === "endoscope") {
       const forward = new Vector3(0, 0, -1).applyQuaternion(this.camera.quaternion);
       this.#controls.target.copy(this.camera.position).addScaledVector(forward, 0.15);
     }
     this.#controls.enabled = true;
-    this.onFree();
+    this.#turnTo("");
+  }
+
+  #turnTo(view) {
+    this.#view = view;
+    this.onView(view);
   }
 
   /** The user touched the picture while it goes with the endoscope. */
   takeCamera() {
-    if (this.#ride) this.#free();
+    if (this.#view === "endoscope") this.#free();
   }
 
-  #look(eye, target, view) {
-    this.#ride = false;
+  #look(name, eye, target, view) {
+    this.#turnTo(name);
     this.#controls.enabled = true;
     this.camera.position.copy(eye);
     this.#controls.target.copy(target);
@@ -259,7 +295,8 @@ export class Theatre {
     const narrow = Math.min(1, this.camera.aspect);
     this.camera.userData.view = view;
     this.camera.fov = (2 * Math.atan(Math.tan(view / 2) / narrow) * 180) / Math.PI;
-    this.camera.updateProjectionMatrix();
+    const [right, down] = this.#shift;
+    this.camera.setViewOffset(1, 1, -right, -down, 1, 1);
   }
 
   #resize() {
@@ -269,12 +306,13 @@ export class Theatre {
     this.#renderer.setSize(width, height, false);
     this.camera.aspect = width / height;
     this.#setView(this.camera.userData.view ?? 0.78);
+    if (this.#view === "close") this.closeUp();
     this.#dirty = true;
   }
 
   /** Draws where something has moved; `now` in ms. */
   draw(now) {
-    if (!this.#ride && this.#controls.update()) this.#dirty = true;
+    if (this.#view !== "endoscope" && this.#controls.update()) this.#dirty = true;
     if (!this.#dirty) return;
     this.#dirty = false;
     this.#keepUp(now);
@@ -319,6 +357,13 @@ export class Theatre {
     this.#renderer.render(this.#scene, this.camera);
     this.#canvas.toBlob(take, "image/png");
   }
+}
+
+/** A sphere around a part. */
+function sphereOf(part) {
+  if (!part.geometry.boundingSphere) part.geometry.computeBoundingSphere();
+  part.updateMatrixWorld();
+  return part.geometry.boundingSphere.clone().applyMatrix4(part.matrixWorld);
 }
 
 /** Whether nothing but the processor draws here. */

@@ -6,6 +6,7 @@ file's name, it writes the README's picture of the page.
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import signal
@@ -13,12 +14,13 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
 
 import pytest
-from chromium import PATIENCE, Chromium, changed
+from chromium import PATIENCE, Chromium, changed, pixels
 
 BINARY = os.environ.get("TROCAR_BINARY", "trocar")
 
@@ -82,6 +84,36 @@ class Server:
 
 PICK = ("--task", "NeedlePick-v0", "--envs", "4")
 TRACK = ("--task", "ActiveTrack-v0", "--envs", "2")
+
+#: Goes to a place in a recording.
+SLIDE = (
+    "((at) => { const slider = document.querySelector('#slider');"
+    " slider.value = at; slider.dispatchEvent(new Event('input')); })"
+)
+
+#: Which camera's button is pressed.
+CAMERA = "document.querySelector('#cameras [aria-pressed=true]')?.textContent"
+
+#: Whatever does not fit into its place and is neither cut short nor scrolled.
+OVERFLOWING = (
+    "[...document.querySelectorAll('#side *, .panel, .panel *')].filter((each) =>"
+    " each.clientWidth > 0 && each.scrollWidth > each.clientWidth + 1"
+    " && getComputedStyle(each).overflowX === 'visible'"
+    ").map((each) => each.id || each.className || each.tagName)"
+)
+
+#: Panels that stick out of the theatre, or cover another one.
+MISPLACED = (
+    "[...document.querySelectorAll('main > .panel')].filter((panel, index, panels) => {"
+    " const main = document.querySelector('main').getBoundingClientRect();"
+    " const box = panel.getBoundingClientRect();"
+    " const covers = (other) => { const there = other.getBoundingClientRect();"
+    "   return other !== panel && box.left < there.right && there.left < box.right"
+    "     && box.top < there.bottom && there.top < box.bottom; };"
+    " return box.width > 0 && (box.left < main.left || box.right > main.right"
+    "   || box.top < main.top || box.bottom > main.bottom || panels.some(covers));"
+    "}).map((panel) => panel.id)"
+)
 
 #: Shows nothing but the theatre, so that pixels that change are the arm's.
 BARE = (
@@ -166,8 +198,7 @@ def test_environments_paces_and_cameras_are_chosen_by_keys() -> None:
             browser.wait_for(f"document.body.dataset.frames !== '{frames}'")
         for key in "1233":
             browser.press(key)
-        pressed = "document.querySelector('#cameras [aria-pressed=true]').innerText"
-        assert browser.run(pressed) == "Endoscope"
+        assert browser.run(CAMERA) == "Endoscope"
         for key in "ce?":
             browser.press(key)
         assert browser.run("document.querySelector('#help').open")
@@ -219,21 +250,28 @@ def test_the_end_of_the_server_is_said_and_survived(
             assert browser.run("document.querySelector('#notice').hidden")
 
 
-def test_a_recording_plays_and_the_slider_goes_anywhere_in_it() -> None:
-    """``trocar replay --view``: from its beginning to its end, again, and step by step."""
+@contextlib.contextmanager
+def replayed(task: str) -> Iterator[str]:
+    """The address of a recording of two episodes of a task, ``trocar replay --view``."""
     with tempfile.TemporaryDirectory() as folder:
-        file = Path(folder) / "reach.trocar"
-        record = ("record", "--task", "NeedleReach-v0", "--episodes", "2", "--out", str(file))
+        file = Path(folder) / "recorded.trocar"
+        record = ("record", "--task", task, "--episodes", "2", "--out", str(file))
         subprocess.run([BINARY, *record], check=True, capture_output=True)
         command = [BINARY, "replay", str(file), "--view", "0"]
         with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as replay:
             try:
                 assert replay.stderr is not None
                 line = next(line for line in replay.stderr if "watch it at" in line)
-                play(line.split()[3].rstrip(";"))
+                yield line.split()[3].rstrip(";")
             finally:
                 replay.send_signal(signal.SIGINT)
         assert replay.returncode == 0
+
+
+def test_a_recording_plays_and_the_slider_goes_anywhere_in_it() -> None:
+    """``trocar replay --view``: from its beginning to its end, again, and step by step."""
+    with replayed("NeedleReach-v0") as address:
+        play(address)
 
 
 def play(address: str) -> None:
@@ -242,16 +280,14 @@ def play(address: str) -> None:
     with Chromium(900, 600) as browser:
         browser.open(address)
         browser.wait_for("document.querySelector('#slider')?.max === '50'")
-        assert "reach.trocar" in browser.run("document.querySelector('#sessions').innerText")
+        assert "recorded.trocar" in browser.run("document.querySelector('#sessions').innerText")
         for _ in range(3):
             browser.press("+")
         browser.wait_for(f"{step} === '50 / 50'")
         button = "document.querySelector('#pause').textContent"
         assert browser.run(button) == "Again"
         total = browser.run("document.querySelector('#return').textContent")
-        slide = "(at) => { const slider = document.querySelector('#slider');"
-        slide += " slider.value = at; slider.dispatchEvent(new Event('input')); }"
-        browser.run(f"({slide})(7)")
+        browser.run(f"{SLIDE}(7)")
         assert browser.run(step) == "7 / 50"
         browser.press(".")
         assert browser.run(step) == "8 / 50"
@@ -263,7 +299,7 @@ def play(address: str) -> None:
         browser.run(BARE)
 
         def at(place: int) -> bytes:
-            browser.run(f"({slide})({place})")
+            browser.run(f"{SLIDE}({place})")
             return browser.picture()
 
         def there_and_back() -> bool:
@@ -294,6 +330,71 @@ def test_it_works_in_narrow_windows() -> None:
         )
         assert browser.run(outside) == []
         assert browser.run("document.documentElement.scrollWidth") <= 390
+
+
+def test_the_only_session_opens_by_itself() -> None:
+    """At once where it is there already, else as soon as it is."""
+    watched = "document.querySelector('[aria-current=true]')?.innerText.includes('ActiveTrack')"
+    shown = "Number(document.body?.dataset.frames) > 3"
+    with Server() as server, Chromium() as browser:
+        browser.open(f"http://{server.address}/")
+        browser.wait_for("document.querySelector('#empty')?.innerText.includes('Nobody')")
+        server.train(*TRACK)
+        browser.wait_for(shown)
+        assert browser.run(watched)
+        browser.open("about:blank")
+        browser.open(f"http://{server.address}/")
+        browser.wait_for(shown)
+        assert browser.run(watched)
+        # Without jaws, it is seen from its overview.
+        assert browser.run(CAMERA) == "Overview"
+        assert browser.errors == []
+
+
+def test_nothing_overflows_on_a_small_laptop() -> None:
+    """Not even with two arms and the largest seeds."""
+    trainer = ("--task", "BiPegTransfer-v0", "--envs", "4", "--seed", str(2**63 - 10))
+    with Server(trainer) as server, Chromium(1024, 640) as browser:
+        browser.resize(1024, 640)
+        watch(browser, server, "BiPegTransfer")
+        browser.wait_for("!document.querySelector('#endoscope').hidden")
+        browser.wait_for("document.querySelectorAll('.jaw').length > 0")
+        assert browser.run(OVERFLOWING) == []
+        assert browser.run(MISPLACED) == []
+        assert browser.run("document.documentElement.scrollWidth") == 1024
+
+
+def test_it_starts_where_jaws_and_object_fill_the_picture() -> None:
+    """The goal is many times as large as from the overview, and the grasp stays in the picture."""
+
+    def is_green(red: int, green: int, blue: int) -> bool:
+        return green > red + 60 and green > blue + 60
+
+    def is_orange(red: int, green: int, blue: int) -> bool:
+        return red > green + 50 and green > blue + 60
+
+    with replayed("NeedlePick-v0") as address, Chromium(1024, 640) as browser:
+        browser.resize(1024, 640)
+        browser.open(address)
+        browser.wait_for("document.querySelector('#slider')?.max === '50'")
+        browser.wait_for("Number(document.body.dataset.frames) > 0")
+        assert browser.run(CAMERA) == "Close"
+        browser.run(BARE)
+
+        def count(place: int, colour: Callable[[int, int, int], bool]) -> int:
+            browser.run(f"{SLIDE}({place})")
+            width, each, rows = pixels(browser.picture())
+            return sum(
+                colour(*row[at : at + 3]) for row in rows for at in range(0, each * width, each)
+            )
+
+        # Arrows of the forces between jaws and needle.
+        assert all(count(place, is_orange) > 50 for place in (14, 20, 50))
+        near = count(12, is_green)
+        browser.press("1")
+        assert browser.run(CAMERA) == "Overview"
+        far = count(12, is_green)
+        assert near > 8 * far > 0
 
 
 def take_picture(path: str) -> None:

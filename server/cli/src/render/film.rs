@@ -16,7 +16,7 @@ const COLOURS: usize = 255;
 const UNCHANGED: u8 = COLOURS as u8;
 
 /// Pictures of a film that its palette is made for.
-const SAMPLED: usize = 12;
+pub(super) const SAMPLED: usize = 12;
 
 /// Bits of a channel by which colours are told apart.
 const BITS: u32 = 6;

@@ -4,6 +4,7 @@ use std::path::Path;
 
 use anyhow::Context;
 use clap::{Args, ValueEnum};
+use indicatif::ProgressBar;
 use trocar_server::render::{Camera, Canvas, Picture, Renderer, Scene, Software};
 
 use super::film;
@@ -108,8 +109,15 @@ impl Look {
 
     /// Writes episodes one after the other as a moving picture.
     pub(crate) fn write_film(&self, path: &Path, episodes: &[Moment]) -> anyhow::Result<()> {
-        let draw = |index: usize| self.drawn(&FILM, &episodes[index].scene);
-        film::write(path, self.fps, episodes.len(), draw)
+        // On a terminal only.
+        let bar = ProgressBar::new((episodes.len() + film::SAMPLED) as u64);
+        let draw = |index: usize| {
+            bar.inc(1);
+            self.drawn(&FILM, &episodes[index].scene)
+        };
+        film::write(path, self.fps, episodes.len(), draw)?;
+        bar.finish_and_clear();
+        Ok(())
     }
 
     /// All that is shown of one moment, side by side.
