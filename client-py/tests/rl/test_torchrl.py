@@ -8,7 +8,7 @@ from pathlib import Path
 import gymnasium as gym
 import torch
 from torchrl.collectors import Collector
-from torchrl.envs import check_env_specs
+from torchrl.envs import GymEnv, SerialEnv, check_env_specs
 
 sys.path.append(str(Path(__file__).parents[2] / "examples"))
 
@@ -49,6 +49,17 @@ def test_specs_hold(server: str) -> None:
     assert state.abs().max() <= 1
     assert state.std() > 0.1
     env.close()
+
+
+def test_torchrls_own_classes_make_environments(server: str) -> None:
+    """GymEnv tries a keyword that Trocar does not have, and goes on without it."""
+    for task in (TASK, "trocar/ActiveTrack-v0"):
+        env = GymEnv(task, server=server)
+        assert env.rollout(7).batch_size == torch.Size([7])
+        env.close()
+    several = SerialEnv(2, lambda: GymEnv(TASK, server=server))
+    assert several.rollout(7).batch_size == torch.Size([2, 7])
+    several.close()
 
 
 def test_a_collector_goes_on_over_the_ends_of_episodes(server: str) -> None:
