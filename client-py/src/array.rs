@@ -2,8 +2,8 @@
 
 use numpy::ndarray::{ArrayView, ArrayView2, ArrayViewD, Axis, Dimension};
 use numpy::{
-    Element, PyArray, PyArray1, PyArray2, PyArrayDyn, PyArrayMethods, PyUntypedArray,
-    PyUntypedArrayMethods,
+    Element, PyArray, PyArray1, PyArray2, PyArrayDyn, PyArrayMethods, PyReadonlyArrayDyn,
+    PyUntypedArray, PyUntypedArrayMethods,
 };
 use pyo3::intern;
 use pyo3::prelude::*;
@@ -64,27 +64,40 @@ pub(crate) fn flags<'py>(py: Python<'py>, bytes: &[u8]) -> Bound<'py, PyArray1<b
 }
 
 /// Reads anything that NumPy takes for an array of numbers, by the rule of `trocar._arrays`, and gives
-/// `act` its shape and values, row-major; `field` and `code` name it in errors. An aligned array of
-/// float32 in row-major order is not copied.
+/// `act` its shape and values, row-major; `field` and `code` name it in errors. Aligned arrays in
+/// row-major order are read here: of float32 without a copy, of float64 rounded.
 pub(crate) fn with_numbers<T>(
     value: &Bound<'_, PyAny>,
     field: &str,
     code: Code,
     act: impl FnOnce(&[usize], &[f32]) -> PyResult<T>,
 ) -> PyResult<T> {
-    let py = value.py();
-    // Subclasses may mean something else by their elements, as masked arrays do.
-    if value.is_exact_instance_of::<PyUntypedArray>()
-        && let Ok(array) = value.cast::<PyArrayDyn<f32>>()
-        && array.is_c_contiguous()
-        && array.is_aligned()
-    {
-        let array = array.try_readonly()?;
+    if let Some(array) = in_order::<f32>(value)? {
         return act(array.shape(), array.as_slice()?);
     }
+    if let Some(array) = in_order::<f64>(value)? {
+        let rounded: Vec<_> = array.as_slice()?.iter().map(|number| *number as f32).collect();
+        return act(array.shape(), &rounded);
+    }
+    let py = value.py();
     let copied = rule(py, "floats")?.call1((value, field, error::class_of(code)))?;
     let array = copied.cast::<PyArrayDyn<f32>>()?.try_readonly()?;
     act(array.shape(), array.as_slice()?)
+}
+
+/// A value that is an aligned array of that type in row-major order.
+fn in_order<'py, T: Element>(
+    value: &Bound<'py, PyAny>,
+) -> PyResult<Option<PyReadonlyArrayDyn<'py, T>>> {
+    // Subclasses may mean something else by their elements, as masked arrays do.
+    if !value.is_exact_instance_of::<PyUntypedArray>() {
+        return Ok(None);
+    }
+    let Ok(array) = value.cast::<PyArrayDyn<T>>() else { return Ok(None) };
+    if array.is_c_contiguous() && array.is_aligned() {
+        return Ok(Some(array.try_readonly()?));
+    }
+    Ok(None)
 }
 
 /// The elements of an array of the bindings' own, which are aligned and contiguous.
