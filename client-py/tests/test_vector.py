@@ -268,8 +268,11 @@ def test_attributes_are_shared(server: str) -> None:
     assert envs.call("compute_reward", goal, goal) == (0.0,) * 3
     envs.set_attr("note", "kept")
     assert envs.get_attr("note") == ("kept",) * 3
-    with pytest.raises(ValueError, match="share"):
-        envs.set_attr("note", [1, 2, 3])
+    envs.set_attr("note", [np.zeros(2)] * 2 + [[0.0, 0.0]])
+    assert all((note == 0).all() for note in envs.get_attr("note"))
+    for values in ([1, 2, 3], [1, 1], [np.zeros(2), np.zeros(2), np.ones(2)]):
+        with pytest.raises(ValueError, match=r"note = .*share"):
+            envs.set_attr("note", values)
     envs.close()
 
 

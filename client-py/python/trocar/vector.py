@@ -353,7 +353,7 @@ class TrocarVectorEnv(
     def set_attr(self, name: str, values: Any) -> None:
         """Sets the attribute ``name`` of all environments, which share it, to one value."""
         if isinstance(values, list | tuple):
-            if len(values) != self.num_envs or any(value != values[0] for value in values):
+            if len(values) != self.num_envs or not all(_same(value, values[0]) for value in values):
                 allowed = "expected one value, since the environments of a session share it"
                 raise refuse(InvalidOption, name, values, allowed)
             values = values[0]
@@ -481,6 +481,11 @@ def _final(reply: _trocar.Reply, ended: NDArray[np.bool_]) -> dict[str, Any]:
         ),
         "_final_info": ended.copy(),
     }
+
+
+def _same(one: Any, other: Any) -> bool:
+    """Whether two values are equal; arrays, in all of their elements."""
+    return one is other or bool(np.array_equal(one, other))
 
 
 def _autoreset_mode(mode: AutoresetMode | str) -> AutoresetMode:

@@ -9,6 +9,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
+import gymnasium as gym
 import minari
 import numpy as np
 import pyarrow.parquet as pq
@@ -98,6 +99,31 @@ def test_tasks_without_goals_are_recorded_too(
     record("ActiveTrack-v0", episodes=2, out=tmp_path, server=server)
     dataset = loaded(tmp_path, "ActiveTrack-v0", "expert-v0", monkeypatch)
     assert dataset[0].observations.shape == (501, 10)
+
+
+@pytest.mark.filterwarnings("ignore:.*is set to None:UserWarning")
+@pytest.mark.filterwarnings("ignore:.*TemporaryDirectory:ResourceWarning")
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
+@pytest.mark.parametrize("expert", [False, True])
+def test_minaris_collector_records_infos(
+    expert: bool, tmp_path: Path, server: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It wants infos of one shape, and draws seeds of 64 bits for resets that have none."""
+    monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path))
+    env = minari.DataCollector(
+        gym.make("trocar/NeedleReach-v0", server=server, expert=expert), record_infos=True
+    )
+    env.action_space.seed(0)
+    for _ in range(8):
+        env.reset()
+        while not env.step(env.action_space.sample())[3]:
+            pass
+    dataset = env.create_dataset(f"trocar/collected-{expert}-v0")
+    env.close()
+    seeds = {int(episode.infos["episode_seed"][0]) for episode in dataset.iterate_episodes()}
+    assert len(seeds) == 8
+    for episode in dataset.iterate_episodes():
+        assert all(len(values) == 51 for values in episode.infos.values())
 
 
 class Stop(Exception):

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import subprocess
 import sys
+from functools import partial
 from pathlib import Path
 
 import gymnasium as gym
@@ -57,9 +59,35 @@ def test_torchrls_own_classes_make_environments(server: str) -> None:
         env = GymEnv(task, server=server)
         assert env.rollout(7).batch_size == torch.Size([7])
         env.close()
-    several = SerialEnv(2, lambda: GymEnv(TASK, server=server))
+    make = partial(GymEnv, TASK, server=server)
+    several = SerialEnv(2, make)
     assert several.rollout(7).batch_size == torch.Size([2, 7])
     several.close()
+
+
+def test_torchrls_processes_make_environments(server: str, tmp_path: Path) -> None:
+    """In a program of its own, whose warnings are not errors."""
+    program = tmp_path / "parallel.py"
+    program.write_text(PARALLEL)
+    done = subprocess.run(
+        [sys.executable, program, f"trocar:{TASK}", server],
+        capture_output=True,
+        text=True,
+        timeout=120,
+    )
+    assert done.stdout.split() == ["2", "7"], done.stderr
+
+
+PARALLEL = """
+import sys
+from functools import partial
+from torchrl.envs import GymEnv, ParallelEnv
+
+if __name__ == "__main__":
+    envs = ParallelEnv(2, partial(GymEnv, sys.argv[1], server=sys.argv[2]))
+    print(*envs.rollout(7).batch_size)
+    envs.close()
+"""
 
 
 def test_a_collector_goes_on_over_the_ends_of_episodes(server: str) -> None:
