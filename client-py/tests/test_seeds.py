@@ -150,19 +150,24 @@ def test_a_forked_child_goes_on_as_its_parent_would(script: Any) -> None:
     process = script(FORKED, TROCAR_BINARY=trocar.binary())
     out, _ = process.communicate(timeout=60)
     assert process.returncode == 0
-    assert out.split() == ["7", "1", "7", "1"]
+    told = ["7 1", "[7 9] [2 1]"]
+    assert out.splitlines() == 2 * told
 
 
 FORKED = """
-import os, sys, trocar
+import os, sys, numpy as np, trocar
 env = trocar.TrocarEnv("EcmReach-v0")
 env.reset(seed=7)
+envs = trocar.TrocarVectorEnv("EcmReach-v0", 2)
+envs.reset(seed=[7, 9])
+envs.reset(options={"reset_mask": np.array([True, False])})
 child = os.fork()
 if child:
     os.waitpid(child, 0)
-info = env.reset()[1]
-print(info["episode_seed"], info["episode_index"], flush=True)
-env.close()
+for each in (env, envs):
+    info = each.reset()[1]
+    print(info["episode_seed"], info["episode_index"], flush=True)
+    each.close()
 os._exit(0) if not child else sys.exit()
 """
 
