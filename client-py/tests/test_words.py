@@ -38,6 +38,18 @@ def test_a_wrong_variable_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
         trocar.TrocarEnv("EcmReach-v0", server="b/c")
 
 
+def test_a_program_that_is_not_there_is_named_by_its_variable(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setenv("TROCAR_BINARY", "/nowhere/trocar")
+    for start in (trocar.Server().start, trocar.binary):
+        with refused(errors.LaunchError, r"^\$TROCAR_BINARY = '/nowhere/trocar'", "unset"):
+            start()
+    monkeypatch.setenv("TROCAR_SERVER", "nobody-is-here")
+    with refused(errors.NoServer, "nobody-is-here", "unset TROCAR_SERVER"):
+        trocar.TrocarEnv("EcmReach-v0")
+
+
 def test_rendering_before_the_first_reset(server: str) -> None:
     env = trocar.TrocarEnv("NeedleReach-v0", server=server, render_mode="rgb_array")
     envs = make_vec("NeedleReach-v0", server, 2, render_mode="rgb_array")
@@ -79,6 +91,9 @@ def test_arguments_of_wrong_types_are_named(server: str) -> None:
         with refused(ValueError, f"^{shown}"):
             trocar.TrocarVectorEnv(**{"task": "EcmReach-v0", "server": server, **given})
     env = trocar.TrocarEnv("EcmReach-v0", server=server)
+    env.reset(seed=0)
+    with refused(errors.InvalidSnapshot, r"^snapshot = b'', bytes: expected a trocar\.Snapshot"):
+        env.restore(b"")  # type: ignore[arg-type]
     with refused(ValueError, r"^options = \[1\], list"):
         env.reset(options=[1])  # type: ignore[arg-type]
     env.close()

@@ -21,6 +21,7 @@ from trocar._reset import Placement
 from trocar.errors import (
     Closed,
     InvalidOption,
+    InvalidSnapshot,
     NoServer,
     Reconnected,
     ResetNeeded,
@@ -211,6 +212,8 @@ class Connection:
         self, snapshot: Snapshot, env_ids: NDArray[np.uint32] | None = None
     ) -> _trocar.Reply:
         """Lets environments go on from a snapshot; all of them also in a session opened anew."""
+        if not isinstance(snapshot, Snapshot):
+            raise refused(InvalidSnapshot, "snapshot", snapshot, "a trocar.Snapshot")
         self._ready(everything=env_ids is None)
         return self._try(lambda session: session.restore(snapshot.states_in(session), env_ids))
 
