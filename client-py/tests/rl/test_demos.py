@@ -93,6 +93,14 @@ def test_failures_are_dropped_unless_they_are_wanted(
     assert sum(succeeded) == some.kept
 
 
+@pytest.mark.parametrize("form", ["minari", "lerobot"])
+def test_episodes_of_large_seeds_are_recorded(form: str, tmp_path: Path, server: str) -> None:
+    told = record(
+        "NeedleReach-v0", episodes=2, out=tmp_path, seed=2**63 - 1, format=form, server=server
+    )
+    assert told.kept == 2
+
+
 def test_tasks_without_goals_are_recorded_too(
     tmp_path: Path, server: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
