@@ -107,14 +107,13 @@ class TrocarVecEnv(VecEnv):
         observations, rewards, terminations, truncations, infos = self.envs.recv()
         dones = terminations | truncations
         told = self._told(infos)
-        for row, info in enumerate(told):
-            info["TimeLimit.truncated"] = bool(truncations[row] and not terminations[row])
         for row in np.flatnonzero(dones).tolist():
             last = infos["final_info"]
             self.reset_infos[row] = {**told[row], **dict.fromkeys(OUTCOME, False)}
-            del self.reset_infos[row]["TimeLimit.truncated"]
             told[row] |= {name: last[name][row].item() for name in (*OUTCOME, *EPISODE)}
             told[row]["terminal_observation"] = infos["final_obs"][row]
+        for info, truncated in zip(told, (truncations & ~terminations).tolist(), strict=True):
+            info["TimeLimit.truncated"] = truncated
         return observations, rewards, dones, told
 
     def env_method(
@@ -174,12 +173,22 @@ class TrocarVecEnv(VecEnv):
 
     def _told(self, infos: dict[str, Any]) -> list[dict[str, Any]]:
         """Infos as a dictionary for each environment, with the values of a single one's."""
-        names = [*OUTCOME, *EPISODE]
-        columns = [infos[name].tolist() for name in names]
+        columns = (infos[name].tolist() for name in (*OUTCOME, *EPISODE))
+        # Written out, since it is done for every environment at every step.
+        told: list[dict[str, Any]] = [
+            {
+                "is_success": success,
+                "simulation_failed": failed,
+                "episode_seed": seed,
+                "episode_index": episode,
+            }
+            for success, failed, seed, episode in zip(*columns, strict=True)
+        ]
         if EXPERT[0] in infos:
-            names += EXPERT
-            columns += [infos[EXPERT[0]], infos[EXPERT[1]].tolist()]
-        return [dict(zip(names, values, strict=True)) for values in zip(*columns, strict=True)]
+            stages = infos["expert_stage"].tolist()
+            for info, action, stage in zip(told, infos["expert_action"], stages, strict=True):
+                info |= {"expert_action": action, "expert_stage": stage}
+        return told
 
     def _rows(self, indices: int | Iterable[int] | None) -> list[int]:
         """The environments that ``indices`` mean."""
