@@ -276,7 +276,7 @@ impl Family {
                 let mut command = client_command("-", "private");
                 let root = format!("{name}:{}", root.pid());
                 command.env(private::VARIABLE, root).env(private::BINARY, binary());
-                Process::spawn(command.env_remove("TROCAR_SERVER"))
+                Process::spawn(command.env("TROCAR_SERVER", "")) // empty, that is none
             })
             .collect();
         let said: Vec<String> = members.iter_mut().map(Process::line).collect();

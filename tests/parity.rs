@@ -125,3 +125,32 @@ fn sessions_side_by_side_do_not_touch_each_other() {
         }
     });
 }
+
+#[test]
+fn an_episode_begins_by_its_number_as_it_did_in_turn() {
+    let server = Server::start();
+    let request = SessionRequest::new("NeedleReach-v0").envs(2);
+    let mut session = server.open(&request.clone().seed(SEED));
+    let in_turn: Vec<_> =
+        (0..3).map(|_| Row::all(&session.reset().unwrap(), Autoreset::NextStep)).collect();
+    let mut other = server.open(&request);
+    for episode in [2, 0] {
+        other.start_reset_to(None, &[SEED, SEED + 1], &[episode, episode]).unwrap();
+        let begun = Row::all(&other.recv().unwrap(), Autoreset::NextStep);
+        assert_eq!(begun, in_turn[episode as usize]);
+    }
+    let mixed = Row::all(&other.reset().unwrap(), Autoreset::NextStep);
+    assert_eq!(mixed, in_turn[1]);
+}
+
+/// The numbers are those of the tests in Python.
+#[test]
+fn environments_count_on_from_any_seed() {
+    let server = Server::start();
+    let request = SessionRequest::new("EcmReach-v0").envs(2);
+    let mut counted = server.open(&request.clone().seed(u64::MAX));
+    let seeds = [8_245_168_133_484_221_968, 313_702_574_736_366_215];
+    assert_eq!(counted.reset().unwrap().seed(), seeds);
+    let mut given = server.open(&request);
+    assert_eq!(given.reset_envs(&[0, 1], Some(&[u64::MAX, 5])).unwrap().seed(), [seeds[0], 5]);
+}

@@ -3,10 +3,10 @@
 use numpy::ndarray::{ArrayView, ArrayView2, ArrayViewD, Axis, Dimension};
 use numpy::{
     Element, PyArray, PyArray1, PyArray2, PyArrayDyn, PyArrayMethods, PyReadonlyArrayDyn,
-    PyUntypedArrayMethods,
+    PyUntypedArray, PyUntypedArrayMethods,
 };
+use pyo3::intern;
 use pyo3::prelude::*;
-use pyo3::types::IntoPyDict;
 use trocar_client::{Code, Rejection};
 
 use crate::error;
@@ -63,58 +63,63 @@ pub(crate) fn flags<'py>(py: Python<'py>, bytes: &[u8]) -> Bound<'py, PyArray1<b
     PyArray1::from_iter(py, bytes.iter().map(|byte| *byte != 0))
 }
 
-/// Numbers that came from Python, row-major.
-pub(crate) struct Numbers {
-    pub(crate) shape: Vec<usize>,
-    pub(crate) values: Vec<f32>,
-}
-
-/// Reads anything that NumPy takes for an array of numbers; `field` and `code` name it in errors.
-pub(crate) fn numbers(value: &Bound<'_, PyAny>, field: &str, code: Code) -> PyResult<Numbers> {
-    let py = value.py();
-    if let Ok(array) = value.cast::<PyArrayDyn<f32>>() {
-        return Ok(collect(&array.try_readonly()?, |number| number));
-    }
-    let as_array = || -> PyResult<PyReadonlyArrayDyn<'_, f64>> {
-        let keywords = [("dtype", "float64")].into_py_dict(py)?;
-        let array = py.import("numpy")?.call_method("asarray", (value,), Some(&keywords))?;
-        Ok(array.cast::<PyArrayDyn<f64>>()?.try_readonly()?)
-    };
-    as_array().map(|array| collect(&array, |number| number as f32)).map_err(|error| {
-        let found = value.repr().map_or_else(|_| "?".to_string(), |text| text.to_string());
-        let refusal = error::rejection(
-            py,
-            &Rejection::new(code, field, found, "expected an array of numbers"),
-        );
-        refusal.set_cause(py, Some(error));
-        refusal
-    })
-}
-
-/// As [`numbers`], and `act` gets shape and values: of an array of float32 in row-major order the
-/// array's own, without a copy.
+/// Reads anything that NumPy takes for an array of numbers, by the rule of `trocar._arrays`, and gives
+/// `act` its shape and values, row-major; `field` and `code` name it in errors. Aligned arrays in
+/// row-major order are read here: of float32 without a copy, of float64 rounded.
 pub(crate) fn with_numbers<T>(
     value: &Bound<'_, PyAny>,
     field: &str,
     code: Code,
     act: impl FnOnce(&[usize], &[f32]) -> PyResult<T>,
 ) -> PyResult<T> {
-    if let Ok(array) = value.cast::<PyArrayDyn<f32>>()
-        && array.is_c_contiguous()
-    {
-        let array = array.try_readonly()?;
+    if let Some(array) = in_order::<f32>(value)? {
         return act(array.shape(), array.as_slice()?);
     }
-    let numbers = numbers(value, field, code)?;
-    act(&numbers.shape, &numbers.values)
+    if let Some(array) = in_order::<f64>(value)? {
+        let rounded: Vec<_> = array.as_slice()?.iter().map(|number| *number as f32).collect();
+        return act(array.shape(), &rounded);
+    }
+    let py = value.py();
+    let copied = rule(py, "floats")?.call1((value, field, error::class_of(code)))?;
+    let array = copied.cast::<PyArrayDyn<f32>>()?.try_readonly()?;
+    act(array.shape(), array.as_slice()?)
 }
 
-fn collect<T: Element + Copy>(
-    array: &PyReadonlyArrayDyn<'_, T>,
-    convert: impl Fn(T) -> f32,
-) -> Numbers {
-    let values = array.as_array().iter().map(|number| convert(*number)).collect();
-    Numbers { shape: array.shape().to_vec(), values }
+/// A value that is an aligned array of that type in row-major order.
+fn in_order<'py, T: Element>(
+    value: &Bound<'py, PyAny>,
+) -> PyResult<Option<PyReadonlyArrayDyn<'py, T>>> {
+    // Subclasses may mean something else by their elements, as masked arrays do.
+    if !value.is_exact_instance_of::<PyUntypedArray>() {
+        return Ok(None);
+    }
+    let Ok(array) = value.cast::<PyArrayDyn<T>>() else { return Ok(None) };
+    if array.is_c_contiguous() && array.is_aligned() {
+        return Ok(Some(array.try_readonly()?));
+    }
+    Ok(None)
+}
+
+/// The elements of an array of the bindings' own, which are aligned and contiguous.
+pub(crate) fn listed<T: Element + Copy>(array: &Bound<'_, PyArray1<T>>) -> PyResult<Vec<T>> {
+    Ok(array.try_readonly()?.as_slice()?.to_vec())
+}
+
+/// An array, tensor or scalar as Python's own numbers or strings; anything else as it is.
+pub(crate) fn plain<'py>(value: &Bound<'py, PyAny>, field: &str) -> PyResult<Bound<'py, PyAny>> {
+    if !value.hasattr(intern!(value.py(), "dtype"))? {
+        return Ok(value.clone());
+    }
+    rule(value.py(), "plain")?.call1((value, field))
+}
+
+/// A value as refusals quote it.
+pub(crate) fn described(value: &Bound<'_, PyAny>) -> PyResult<String> {
+    rule(value.py(), "described")?.call1((value,))?.extract()
+}
+
+fn rule<'py>(py: Python<'py>, name: &str) -> PyResult<Bound<'py, PyAny>> {
+    py.import("trocar._arrays")?.getattr(name)
 }
 
 /// A shape as Python writes it.
@@ -128,18 +133,32 @@ pub(crate) fn shape_text(shape: &[usize]) -> String {
     }
 }
 
-/// An error unless `found` is `expected`.
+/// An error unless the shape of `value` is `expected`.
 pub(crate) fn check_shape(
-    py: Python<'_>,
-    found: &[usize],
+    value: &Bound<'_, PyAny>,
+    shape: &[usize],
     expected: &[usize],
     field: &str,
     code: Code,
 ) -> PyResult<()> {
-    if found == expected {
+    if shape == expected {
         return Ok(());
     }
-    let found = format!("array of shape {}", shape_text(found));
-    let expected = format!("expected shape {}", shape_text(expected));
-    Err(error::rejection(py, &Rejection::new(code, field, found, expected)))
+    Err(wrong_shape(value, &shape_text(expected), field, code))
+}
+
+/// The refusal of an array that has another shape than `expected`.
+pub(crate) fn wrong_shape(
+    value: &Bound<'_, PyAny>,
+    expected: &str,
+    field: &str,
+    code: Code,
+) -> PyErr {
+    match described(value) {
+        Ok(found) => {
+            let expected = format!("expected shape {expected}");
+            error::rejection(value.py(), &Rejection::new(code, field, found, expected))
+        }
+        Err(error) => error,
+    }
 }

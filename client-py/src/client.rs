@@ -6,8 +6,9 @@ use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use trocar_client::private::PrivateServer;
 use trocar_client::proto::control::ServerInfo;
-use trocar_client::{Autoreset, CallError, Code, Rejection, SessionRequest};
+use trocar_client::{Autoreset, CallError, Code, OptionValue, Options, Rejection, SessionRequest};
 
+use crate::array::described;
 use crate::session::Session;
 use crate::spec::TaskSpec;
 use crate::{error, spec, wait};
@@ -75,7 +76,7 @@ impl Client {
         task: String,
         options: Option<&Bound<'_, PyDict>>,
     ) -> PyResult<TaskSpec> {
-        let options = spec::options(py, options)?;
+        let options = self.options(py, &task, options)?;
         let spec = self.call(py, move |client| client.describe(&task, &options))?;
         Ok(TaskSpec::new(spec))
     }
@@ -109,8 +110,8 @@ impl Client {
                 return Err(refused(Code::InvalidOption, "autoreset", &other, allowed));
             }
         };
-        let options = spec::options(py, options)?;
-        let view = view.map(|view| spec::options(py, Some(view))).transpose()?;
+        let options = self.options(py, &task, options)?;
+        let view = view.map(view_options).transpose()?;
         let request = SessionRequest { task, envs, seed, autoreset, options, view };
         let session = self.call(py, move |client| client.open(&request))?;
         Session::new(py, session)
@@ -145,6 +146,43 @@ impl Client {
         self.client.server()
     }
 
+    /// The options of a task; one that it does not know is refused as that, whatever its value.
+    fn options(
+        &self,
+        py: Python<'_>,
+        task: &str,
+        given: Option<&Bound<'_, PyDict>>,
+    ) -> PyResult<Options> {
+        let mut options = Options::new();
+        for (name, value) in given.into_iter().flatten() {
+            let name: String = name.extract()?;
+            match spec::option_value(&value, &format!("options.{name}")) {
+                Ok(value) => options = options.with(&name, value),
+                Err(error) => return Err(self.unknown(py, task, &name, &value)?.unwrap_or(error)),
+            }
+        }
+        Ok(options)
+    }
+
+    /// The refusal of an option that the task does not know.
+    fn unknown(
+        &self,
+        py: Python<'_>,
+        task: &str,
+        name: &str,
+        value: &Bound<'_, PyAny>,
+    ) -> PyResult<Option<PyErr>> {
+        let (client, task) = (self.client.clone(), task.to_string());
+        let alone = Options::new().with(name, OptionValue::Flag(false));
+        match wait::interruptibly(py, move || client.describe(&task, &alone))? {
+            Err(CallError::Refused(refusal)) if refusal.code == Code::UnknownOption => {
+                let refusal = Rejection { value: described(value)?, ..refusal };
+                Ok(Some(error::rejection(py, &refusal)))
+            }
+            _ => Ok(None),
+        }
+    }
+
     fn call<T: Send + 'static>(
         &self,
         py: Python<'_>,
@@ -153,4 +191,15 @@ impl Client {
         let client = self.client.clone();
         wait::interruptibly(py, move || request(&client))?.map_err(|error| error::call(py, error))
     }
+}
+
+/// How environments are drawn.
+fn view_options(given: &Bound<'_, PyDict>) -> PyResult<Options> {
+    let mut options = Options::new();
+    for (name, value) in given {
+        let name: String = name.extract()?;
+        let value = spec::option_value(&value, &format!("render_options.{name}"))?;
+        options = options.with(&name, value);
+    }
+    Ok(options)
 }

@@ -46,7 +46,19 @@ pub(crate) fn call(py: Python<'_>, error: CallError) -> PyErr {
 
 /// The exception of a refusal, which also carries `field`, `value` and `allowed`.
 pub(crate) fn rejection(py: Python<'_>, refusal: &Rejection) -> PyErr {
-    let exception = match instance(py, class_of(refusal.code), &refusal.to_string()) {
+    // What the request has as its view is an argument of another name in Python.
+    if let Some(name) = refusal.field.strip_prefix("view.") {
+        let field = format!("render_options.{name}");
+        return rejection(py, &Rejection { field, ..refusal.clone() });
+    }
+    let mut message = refusal.to_string();
+    // What libraries look for that try a keyword and go on without it.
+    if refusal.code == Code::UnknownOption
+        && let Some(name) = refusal.field.strip_prefix("options.")
+    {
+        message = format!("unexpected keyword argument '{name}': {message}");
+    }
+    let exception = match instance(py, class_of(refusal.code), &message) {
         Ok(exception) => exception,
         Err(error) => return error,
     };

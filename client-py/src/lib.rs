@@ -31,6 +31,7 @@ fn _trocar(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<spec::ImageSpec>()?;
     module.add_class::<spec::OptionSpec>()?;
     module.add_function(wrap_pyfunction!(new_identity, module)?)?;
+    module.add_function(wrap_pyfunction!(seed_of, module)?)?;
     module.add_function(wrap_pyfunction!(snapshot::split_snapshot, module)?)?;
     Ok(())
 }
@@ -39,4 +40,10 @@ fn _trocar(module: &Bound<'_, PyModule>) -> PyResult<()> {
 #[pyfunction]
 fn new_identity() -> String {
     trocar_client::private::new_identity()
+}
+
+/// The seed of a number of any size, given by its bytes, the least significant one first.
+#[pyfunction]
+fn seed_of(number: &[u8]) -> u64 {
+    trocar_client::proto::seed::of_le_bytes(number)
 }

@@ -4,14 +4,14 @@ use std::collections::BTreeMap;
 use std::iter::repeat_n;
 use std::sync::{Mutex, MutexGuard, PoisonError, TryLockError};
 
-use numpy::{Element, PyArray1, PyArray2, PyArrayMethods};
+use numpy::{PyArray1, PyArray2, PyArrayMethods};
 use pyo3::intern;
 use pyo3::prelude::*;
-use pyo3::types::{PyBytes, PyDict};
+use pyo3::types::{PyBytes, PyDict, PyString};
 use trocar_client::proto::spec::ImageKind;
 use trocar_client::{Code, Placement};
 
-use crate::array::{Part, check_shape, flags, matrix, pictures, with_numbers};
+use crate::array::{Part, check_shape, flags, listed, matrix, pictures, with_numbers};
 use crate::snapshot::Snapshot;
 use crate::spec::TaskSpec;
 use crate::{error, wait};
@@ -66,19 +66,25 @@ impl Session {
     }
 
     /// Resets environments and waits; with another request in flight it is refused.
-    #[pyo3(signature = (env_ids=None, seeds=None))]
+    #[pyo3(signature = (env_ids=None, seeds=None, episodes=None))]
     fn reset(
         &self,
         py: Python<'_>,
         env_ids: Option<&Bound<'_, PyArray1<u32>>>,
         seeds: Option<&Bound<'_, PyArray1<u64>>>,
+        episodes: Option<&Bound<'_, PyArray1<u64>>>,
     ) -> PyResult<Reply> {
         let env_ids = env_ids.map(listed).transpose()?;
         let seeds = seeds.map(listed).transpose()?;
+        let episodes = episodes.map(listed).transpose()?;
         self.exchange(py, |session| {
-            session
-                .start_reset(env_ids.as_deref(), seeds.as_deref())
-                .map_err(|error| error::call(py, error))
+            match (&seeds, &episodes) {
+                (Some(seeds), Some(episodes)) => {
+                    session.start_reset_to(env_ids.as_deref(), seeds, episodes)
+                }
+                _ => session.start_reset(env_ids.as_deref(), seeds.as_deref()),
+            }
+            .map_err(|error| error::call(py, error))
         })
         .map(Reply::new)
     }
@@ -102,8 +108,9 @@ impl Session {
     }
 
     /// Steps all environments and waits; with another request in flight it is refused.
-    fn step(&self, py: Python<'_>, actions: &Bound<'_, PyAny>) -> PyResult<Reply> {
-        self.exchange(py, |session| start_step(py, session, None, actions)).map(Reply::new)
+    #[pyo3(signature = (actions, single=false))]
+    fn step(&self, py: Python<'_>, actions: &Bound<'_, PyAny>, single: bool) -> PyResult<Reply> {
+        self.exchange(py, |session| start_step(session, None, actions, single)).map(Reply::new)
     }
 
     /// Starts a step of some environments.
@@ -116,7 +123,7 @@ impl Session {
         let env_ids = listed(env_ids)?;
         self.with(py, |session| {
             wait::settled(py, session)?;
-            start_step(py, session, Some(&env_ids), actions)
+            start_step(session, Some(&env_ids), actions, false)
         })
     }
 
@@ -309,24 +316,23 @@ impl Drop for Session {
     }
 }
 
-fn listed<T: Element + Copy>(array: &Bound<'_, PyArray1<T>>) -> PyResult<Vec<T>> {
-    Ok(array.try_readonly()?.as_array().to_vec())
-}
-
-/// `actions` is (rows, action dim).
+/// `actions` is (rows, action dim); where `single`, the user's space has no axis of environments.
 fn start_step(
-    py: Python<'_>,
     session: &mut trocar_client::Session,
     env_ids: Option<&[u32]>,
     actions: &Bound<'_, PyAny>,
+    single: bool,
 ) -> PyResult<()> {
-    with_numbers(actions, "action", Code::InvalidAction, |shape, values| {
+    let code = Code::InvalidAction;
+    with_numbers(actions, "action", code, |shape, values| {
         let rows = env_ids.map_or(session.envs(), <[u32]>::len);
-        // A single environment may leave out the axis of environments.
         let expected = [rows, session.spec().action_dim()];
-        let expected = if rows == 1 && shape.len() != 2 { &expected[1..] } else { &expected };
-        check_shape(py, shape, expected, "action", Code::InvalidAction)?;
-        session.start_step(env_ids, values).map_err(|error| error::call(py, error))
+        // One environment may have the axis or not, whatever its space says.
+        if rows != 1 || shape != &expected[1..] {
+            let shown = if single && shape != expected { &expected[1..] } else { &expected };
+            check_shape(actions, shape, shown, "action", code)?;
+        }
+        session.start_step(env_ids, values).map_err(|error| error::call(actions.py(), error))
     })
 }
 
@@ -349,7 +355,7 @@ impl Reply {
     }
 }
 
-/// Observation, rewards, terminations, truncations, infos, whether more is to be said.
+/// Observation, rewards, terminations, truncations, infos, whether an episode began somewhere.
 type Transition<'py> = (
     Bound<'py, PyAny>,
     Bound<'py, PyArray1<f32>>,
@@ -469,20 +475,18 @@ impl Reply {
         PyArray1::from_slice(py, self.inner().steps())
     }
 
-    fn seed<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<u64>> {
-        PyArray1::from_slice(py, self.inner().seed())
+    /// Seeds fit Gymnasium's signed integers.
+    fn episode_seed<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<i64>> {
+        PyArray1::from_iter(py, self.inner().seed().iter().map(|seed| *seed as i64))
     }
 
-    fn episode<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<u64>> {
-        PyArray1::from_slice(py, self.inner().episode())
+    fn episode_index<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<i64>> {
+        PyArray1::from_iter(py, self.inner().episode().iter().map(|episode| *episode as i64))
     }
 
-    /// What Gymnasium's vector environments return of a step, and whether more is to be said of it:
-    /// somewhere an episode began, or the simulation failed. Where `next_step` is true, a step
-    /// that began an episode was no transition, so `is_success` does not apply to it.
+    /// What Gymnasium's vector environments return of a step, and whether somewhere an episode began.
     fn transition<'py>(
         slf: &Bound<'py, Self>,
-        next_step: bool,
         expert: bool,
         copy: bool,
     ) -> PyResult<Transition<'py>> {
@@ -505,26 +509,35 @@ impl Reply {
             Self::observation(slf, copy)?.into_any()
         };
         let infos = PyDict::new(py);
-        infos.set_item(intern!(py, "is_success"), reply.is_success(py))?;
-        let inner = reply.inner();
-        let acted = inner.steps().iter().map(|steps| !next_step || *steps > 0);
-        infos.set_item(intern!(py, "_is_success"), PyArray1::from_iter(py, acted))?;
-        let eventful = inner.steps().contains(&0) || inner.fault().iter().any(|code| *code != 0);
-        let rows = inner.rows();
-        drop(inner);
+        let rows = reply.rows();
+        let tell = |key: &Bound<'py, PyString>, mask: &Bound<'py, PyString>, value| {
+            infos.set_item(key, value)?;
+            infos.set_item(mask, PyArray1::from_iter(py, repeat_n(true, rows)))
+        };
+        tell(
+            intern!(py, "is_success"),
+            intern!(py, "_is_success"),
+            reply.is_success(py).into_any(),
+        )?;
+        let failed = (intern!(py, "simulation_failed"), intern!(py, "_simulation_failed"));
+        tell(failed.0, failed.1, reply.fault(py).into_any())?;
+        let seed = (intern!(py, "episode_seed"), intern!(py, "_episode_seed"));
+        tell(seed.0, seed.1, reply.episode_seed(py).into_any())?;
+        let index = (intern!(py, "episode_index"), intern!(py, "_episode_index"));
+        tell(index.0, index.1, reply.episode_index(py).into_any())?;
         if expert {
-            let everyone = || PyArray1::from_iter(py, repeat_n(true, rows));
-            infos.set_item(intern!(py, "expert_action"), Self::expert_action(slf, true)?)?;
-            infos.set_item(intern!(py, "expert_stage"), reply.expert_stage(py))?;
-            infos.set_item(intern!(py, "_expert_action"), everyone())?;
-            infos.set_item(intern!(py, "_expert_stage"), everyone())?;
+            let action = (intern!(py, "expert_action"), intern!(py, "_expert_action"));
+            tell(action.0, action.1, Self::expert_action(slf, true)?.into_any())?;
+            let stage = (intern!(py, "expert_stage"), intern!(py, "_expert_stage"));
+            tell(stage.0, stage.1, reply.expert_stage(py).into_any())?;
         }
+        let begun = reply.inner().steps().contains(&0);
         let (terminated, truncated) = (reply.terminated(py), reply.truncated(py));
-        Ok((observation, reply.reward(py), terminated, truncated, infos, eventful))
+        Ok((observation, reply.reward(py), terminated, truncated, infos, begun))
     }
 
-    /// Reward, terminated, truncated, success and fault of row 0, without arrays.
-    fn outcome(&self) -> (f32, bool, bool, bool, bool) {
+    /// Reward, terminated, truncated, success, fault, seed and episode of row 0, without arrays.
+    fn outcome(&self) -> (f32, bool, bool, bool, bool, u64, u64) {
         let reply = self.inner();
         let first = |bytes: &[u8]| bytes.first().is_some_and(|byte| *byte != 0);
         (
@@ -533,6 +546,8 @@ impl Reply {
             first(reply.truncated()),
             first(reply.is_success()),
             first(reply.fault()),
+            reply.seed().first().copied().unwrap_or_default(),
+            reply.episode().first().copied().unwrap_or_default(),
         )
     }
 }

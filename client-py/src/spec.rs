@@ -9,9 +9,9 @@ use pyo3::types::{PyBool, PyBytes, PyDict, PyString};
 use trocar_client::proto::control::{MAX_MESSAGE, decode, encode};
 use trocar_client::proto::goal::{Reward, SuccessRule};
 use trocar_client::proto::spec;
-use trocar_client::{Code, OptionValue, Options, Rejection};
+use trocar_client::{Code, OptionValue, Rejection};
 
-use crate::array::{check_shape, numbers, shape_text};
+use crate::array::{check_shape, described, plain, with_numbers, wrong_shape};
 use crate::error;
 
 /// A task as its clients see it, under one choice of options.
@@ -82,6 +82,11 @@ impl TaskSpec {
     #[getter]
     fn goal(&self) -> Option<Vec<Element>> {
         self.spec.goal.as_ref().map(|goal| elements(&goal.elements))
+    }
+
+    #[getter]
+    fn has_goals(&self) -> bool {
+        self.spec.goal.is_some()
     }
 
     /// The pictures of an observation; `None` where they are not asked for.
@@ -160,22 +165,21 @@ impl TaskSpec {
     ) -> PyResult<Bound<'py, PyArrayDyn<T>>> {
         let py = achieved.py();
         let Some(goal) = &self.spec.goal else { return Err(self.without_goals(py)) };
-        let dim = goal.elements.len();
-        let achieved = numbers(achieved, "achieved_goal", Code::InvalidOption)?;
-        let desired = numbers(desired, "desired_goal", Code::InvalidOption)?;
-        let Some((last, leading)) = achieved.shape.split_last().filter(|(last, _)| **last == dim)
-        else {
-            let found = format!("array of shape {}", shape_text(&achieved.shape));
-            let allowed = format!("expected shape (..., {dim})");
-            let refusal = Rejection::new(Code::InvalidOption, "achieved_goal", found, allowed);
-            return Err(error::rejection(py, &refusal));
-        };
-        check_shape(py, &desired.shape, &achieved.shape, "desired_goal", Code::InvalidOption)?;
-        let pairs = achieved.values.chunks_exact(*last).zip(desired.values.chunks_exact(*last));
-        let results = pairs.map(|(a, d)| of_pair(&goal.success, a, d)).collect();
-        let results = ArrayD::from_shape_vec(leading, results)
-            .map_err(|error| error::new(py, "Internal", error.to_string()))?;
-        Ok(PyArrayDyn::from_owned_array(py, results))
+        let (dim, code) = (goal.elements.len(), Code::InvalidOption);
+        with_numbers(achieved, "achieved_goal", code, |shape, from| {
+            let Some((_, leading)) = shape.split_last().filter(|(last, _)| **last == dim) else {
+                let expected = format!("(..., {dim})");
+                return Err(wrong_shape(achieved, &expected, "achieved_goal", code));
+            };
+            with_numbers(desired, "desired_goal", code, |other, to| {
+                check_shape(desired, other, shape, "desired_goal", code)?;
+                let pairs = from.chunks_exact(dim).zip(to.chunks_exact(dim));
+                let results = pairs.map(|(a, d)| of_pair(&goal.success, a, d)).collect();
+                let results = ArrayD::from_shape_vec(leading, results)
+                    .map_err(|error| error::new(py, "Internal", error.to_string()))?;
+                Ok(PyArrayDyn::from_owned_array(py, results))
+            })
+        })
     }
 
     fn without_goals(&self, py: Python<'_>) -> PyErr {
@@ -262,25 +266,23 @@ fn to_python(py: Python<'_>, value: &OptionValue) -> PyResult<Py<PyAny>> {
     })
 }
 
-/// Options from a dictionary, by the type of their values; the server checks the rest.
-pub(crate) fn options(py: Python<'_>, given: Option<&Bound<'_, PyDict>>) -> PyResult<Options> {
-    let mut options = Options::new();
-    for (name, value) in given.into_iter().flatten() {
-        let name: String = name.extract()?;
-        let Some(value) = option_value(&value) else {
-            let found = value.repr()?.to_string();
-            let allowed = "a bool, a number, a string, a sequence of numbers or of strings, or a \
-                           dict of numbers or sequences of numbers by name";
-            let field = format!("options.{name}");
-            let refusal = Rejection::new(Code::InvalidOption, field, found, allowed);
-            return Err(error::rejection(py, &refusal));
-        };
-        options = options.with(&name, value);
-    }
-    Ok(options)
+/// The value of an option, by its type; the server checks the rest.
+pub(crate) fn option_value(value: &Bound<'_, PyAny>, field: &str) -> PyResult<OptionValue> {
+    let value = plain(value, field)?;
+    converted(&value).ok_or_else(|| {
+        let allowed = "a bool, a number, a string, a sequence of numbers or of strings, or a dict \
+                       of numbers or sequences of numbers by name";
+        match described(&value) {
+            Ok(found) => {
+                let refusal = Rejection::new(Code::InvalidOption, field, found, allowed);
+                error::rejection(value.py(), &refusal)
+            }
+            Err(error) => error,
+        }
+    })
 }
 
-fn option_value(value: &Bound<'_, PyAny>) -> Option<OptionValue> {
+fn converted(value: &Bound<'_, PyAny>) -> Option<OptionValue> {
     if let Ok(flag) = value.extract::<bool>() {
         return Some(OptionValue::Flag(flag));
     }

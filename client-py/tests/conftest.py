@@ -27,6 +27,8 @@ WITHOUT_GOALS = ("ActiveTrack-v0",)
 
 Script = Callable[..., subprocess.Popen[str]]
 
+Interrupted = Callable[[Callable[[], object]], None]
+
 # A shell that runs the tests in the background has Ctrl-C ignored, and what ignores a signal hands
 # that down to the processes it starts.
 signal.signal(signal.SIGINT, signal.default_int_handler)
@@ -95,6 +97,31 @@ def script(tmp_path: Path) -> Iterator[Script]:
         process.communicate()
         # Python's own tracker ends by itself, after it has removed what the killed ones left.
         eventually(partial(is_gone, process.pid))
+
+
+@pytest.fixture
+def interrupted(own_server: trocar.Server) -> Iterator[Interrupted]:
+    """Interrupts, as Ctrl-C does, what waits for the server, which then goes on."""
+
+    def interrupt(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    def run(wait: Callable[[], object]) -> None:
+        assert own_server.pid is not None
+        os.kill(own_server.pid, signal.SIGSTOP)
+        threads = Path(f"/proc/{own_server.pid}/task")
+        eventually(lambda: all(state(thread) == "T" for thread in threads.iterdir()))
+        signal.setitimer(signal.ITIMER_REAL, 0.05)
+        try:
+            with pytest.raises(KeyboardInterrupt):
+                wait()
+        finally:
+            signal.setitimer(signal.ITIMER_REAL, 0)
+            os.kill(own_server.pid, signal.SIGCONT)
+
+    before = signal.signal(signal.SIGALRM, interrupt)
+    yield run
+    signal.signal(signal.SIGALRM, before)
 
 
 def is_gone(group: int) -> bool:

@@ -70,7 +70,7 @@ def test_wrong_actions_change_nothing(task: str, server: str) -> None:
         (np.float32(0), r"\(\)"),
         ("left", "left"),
         ([[1.0], [2.0, 3.0]], "3.0"),
-        (None, r"\(\)"),
+        (None, "None"),
     ]
     for bad, shown in shapes:
         with refused(errors.InvalidAction, "action", shown):
@@ -120,11 +120,11 @@ def test_step_before_reset_and_after_the_end(task: str, server: str) -> None:
 def test_wrong_seeds(server: str) -> None:
     env = make("EcmReach-v0", server)
     envs = make_vec("EcmReach-v0", server, 2)
-    wrong: list[Any] = [-1, 2**63, 0.5, "a"]
+    wrong: list[Any] = [-1, -(2**70), 0.5, "a"]
     for seed in wrong:
         with refused(ValueError, "seed", str(seed)):
             env.reset(seed=seed)
-    wrong = [-1, 2**63 - 1, [1], [1, -2]]
+    wrong = [-1, [1], [1, -2], [1, 0.5], [[1, 2], [3, 4]], [1, [2, 3]]]
     for seed in wrong:
         with refused(ValueError, "seed"):
             envs.reset(seed=seed)
@@ -183,7 +183,7 @@ def test_wrong_arguments_of_vector_environments(server: str) -> None:
 def test_no_server_of_that_name() -> None:
     with refused(errors.NoServer, "nobody-is-here", "trocar serve --name nobody-is-here"):
         make("EcmReach-v0", "nobody-is-here")
-    with refused(ValueError, "server name", "a/b"):
+    with refused(ValueError, "^server = ", "a/b"):
         make("EcmReach-v0", "a/b")
 
 

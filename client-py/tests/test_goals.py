@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
+import gymnasium as gym
 import numpy as np
 import pytest
 from conftest import WITHOUT_GOALS
@@ -12,6 +12,8 @@ from test_env import make
 from test_vector import make_vec
 
 import trocar
+
+METHODS = ("compute_reward", "compute_success", "compute_terminated", "compute_truncated")
 
 
 @pytest.fixture(params=["sparse", "dense"])
@@ -64,22 +66,33 @@ def test_batches_keep_their_shape(env: trocar.TrocarEnv) -> None:
 
 
 @pytest.mark.parametrize("task", WITHOUT_GOALS)
-def test_a_task_without_goals_says_that_it_has_no_functions_of_them(task: str, server: str) -> None:
+def test_a_task_without_goals_has_no_functions_of_them(task: str, server: str) -> None:
     single, envs = make(task, server), make_vec(task, server, 2)
     assert single.task_spec.goal is None
     assert single.task_spec.reward == "state"
-    goal = np.zeros((2, 3), np.float32)
-    for env in (single, envs):
-        computed: list[Callable[..., Any]] = [
-            env.compute_reward,
-            env.compute_success,
-            env.compute_terminated,
-            env.compute_truncated,
-        ]
-        for compute in computed:
-            with pytest.raises(trocar.errors.Unsupported, match=f"{task}.*no function of goals"):
-                compute(goal, goal)
-        env.close()
+    wrapped = gym.wrappers.TimeLimit(gym.make(f"trocar/{task}", server=server), 3)
+    wrapped_envs = gym.wrappers.vector.RecordEpisodeStatistics(make_vec(task, server, 2))
+    for name in METHODS:
+        for env in (single, envs, wrapped, wrapped.unwrapped, wrapped_envs, wrapped_envs.unwrapped):
+            assert not hasattr(env, name)
+        assert not wrapped.has_wrapper_attr(name)
+        with pytest.raises(AttributeError, match=f"{task}.*{name}"):
+            envs.get_attr(name)
+        with pytest.raises(AttributeError, match=f"{task}.*{name}"):
+            envs.call(name, np.zeros(3), np.zeros(3))
+    for each in (single, envs, wrapped, wrapped_envs):
+        each.close()
+
+
+def test_tasks_with_goals_have_functions_of_them(goal_task: str, server: str) -> None:
+    single, envs = make(goal_task, server), make_vec(goal_task, server, 2)
+    for name in METHODS:
+        assert callable(getattr(single, name))
+        assert envs.get_attr(name) == (getattr(envs, name),) * 2
+        assert getattr(trocar.TrocarEnv, name).__doc__
+    assert gym.make(f"trocar/{goal_task}", server=server).has_wrapper_attr("compute_reward")
+    single.close()
+    envs.close()
 
 
 def test_wrong_shapes_are_refused(env: trocar.TrocarEnv) -> None:

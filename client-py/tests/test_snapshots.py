@@ -90,7 +90,7 @@ def test_a_fork_is_a_second_environment(task: str, server: str) -> None:
 
 
 def test_made_environments_have_it_too(server: str) -> None:
-    env = gym.make("trocar/EcmReach-v0", server=server, max_episode_steps=-1)
+    env = gym.make("trocar/EcmReach-v0", server=server)
     env.reset(seed=1)
     for _ in range(3):
         snapshot = env.unwrapped.snapshot()  # type: ignore[attr-defined]

@@ -48,11 +48,12 @@ impl Client {
     }
 
     /// Connects to `$TROCAR_SERVER`, else to the private server of this process tree, which is
-    /// started if it does not run yet and ends when its last client has been gone for a while.
+    /// started if it does not run yet and ends when its last client has been gone for a while. An empty
+    /// variable is none.
     pub fn connect_private() -> Result<Self, ConnectError> {
-        match std::env::var("TROCAR_SERVER") {
-            Ok(name) => Self::connect(&name),
-            Err(_) => Self::launch(&private::PrivateServer::of_this_process_tree()?, "rust"),
+        match private::set("TROCAR_SERVER") {
+            Some(name) => Self::connect(&name.to_string_lossy()),
+            None => Self::launch(&private::PrivateServer::of_this_process_tree()?, "rust"),
         }
     }
 

@@ -7,8 +7,8 @@ use trocar_proto::Rejection;
 pub enum ConnectError {
     /// No server of that name runs for this user.
     #[error(
-        "no server named {name:?} is running; start one with `trocar serve --name {name}`, or \
-         leave the name out to use a private server"
+        "no server named {name:?} is running; start one with `trocar serve --name {name}`, or leave \
+         out the name and unset TROCAR_SERVER to use a private server"
     )]
     NoServer {
         /// The name that was tried.

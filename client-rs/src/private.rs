@@ -5,6 +5,7 @@
 //! first starts it. It ends when its last client has been gone for a while, or with the root
 //! process, however that ended.
 
+use std::ffi::OsString;
 use std::fs::{File, OpenOptions};
 use std::io::Read;
 use std::os::unix::fs::OpenOptionsExt;
@@ -41,12 +42,12 @@ impl PrivateServer {
     /// `$TROCAR_BINARY`, else `trocar` beside this executable, else on the PATH.
     pub fn of_this_process_tree() -> Result<Self, ConnectError> {
         static OWN: OnceLock<String> = OnceLock::new();
-        let text = match std::env::var(VARIABLE) {
-            Ok(text) => text,
-            Err(_) => OWN.get_or_init(new_identity).clone(),
+        let text = match set(VARIABLE) {
+            Some(text) => text.to_string_lossy().into_owned(),
+            None => OWN.get_or_init(new_identity).clone(),
         };
         let beside = std::env::current_exe().ok().map(|path| path.with_file_name("trocar"));
-        let binary = std::env::var_os(BINARY)
+        let binary = set(BINARY)
             .map(PathBuf::from)
             .or_else(|| beside.filter(|path| path.is_file()))
             .unwrap_or_else(|| PathBuf::from("trocar"));
@@ -122,6 +123,11 @@ impl PrivateServer {
         keep(child);
         Ok(())
     }
+}
+
+/// The value of an environment variable; an empty one is none.
+pub(crate) fn set(variable: &str) -> Option<OsString> {
+    std::env::var_os(variable).filter(|value| !value.is_empty())
 }
 
 /// Keeps a server that this process started, and collects the exit status of those that ended:

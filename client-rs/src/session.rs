@@ -165,16 +165,29 @@ impl Session {
         env_ids: Option<&[u32]>,
         seeds: Option<&[u64]>,
     ) -> Result<(), CallError> {
-        let env_ids = self.check_env_ids(env_ids)?;
         if let Some(seeds) = seeds {
-            check_length("seeds", seeds.len(), env_ids.len(), Code::InvalidEnvIds)?;
+            return self.start_reset_to(env_ids, seeds, &vec![0; seeds.len()]);
         }
-        let flags = if seeds.is_some() { flag::HAS_SEEDS } else { 0 };
-        let region = self.request_layout.numbers;
+        let env_ids = self.check_env_ids(env_ids)?;
+        self.start(kind::RESET, 0, env_ids.clone(), env_ids, |_, _| {})
+    }
+
+    /// Starts a reset of the environments `env_ids` (all if `None`), the i-th to the episode
+    /// `episodes[i]` of `seeds[i]`.
+    pub fn start_reset_to(
+        &mut self,
+        env_ids: Option<&[u32]>,
+        seeds: &[u64],
+        episodes: &[u64],
+    ) -> Result<(), CallError> {
+        let env_ids = self.check_env_ids(env_ids)?;
+        check_length("seeds", seeds.len(), env_ids.len(), Code::InvalidEnvIds)?;
+        check_length("episodes", episodes.len(), env_ids.len(), Code::InvalidEnvIds)?;
+        let RequestLayout { numbers, episodes: region, .. } = self.request_layout;
+        let flags = flag::HAS_SEEDS;
         self.start(kind::RESET, flags, env_ids.clone(), env_ids, |payload, rows| {
-            if let Some(seeds) = seeds {
-                region.view_mut::<u64>(payload, rows).copy_from_slice(seeds);
-            }
+            numbers.view_mut::<u64>(payload, rows).copy_from_slice(seeds);
+            region.view_mut::<u64>(payload, rows).copy_from_slice(episodes);
         })
     }
 

@@ -201,7 +201,7 @@ pub struct SessionRequest {
     pub task: String,
     /// Number of environments.
     pub envs: u32,
-    /// Environment i starts with seed `seed + i`.
+    /// Environment i starts with the [seed](crate::seed) of the number `seed + i`.
     pub seed: u64,
     /// What happens at the end of an episode.
     pub autoreset: Autoreset,

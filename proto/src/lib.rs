@@ -13,6 +13,7 @@
 //! | [`goal`] | distance, success and reward as pure functions of goals |
 //! | [`stage`] | what a scripted expert is about |
 //! | [`placement`] | how an episode shall begin |
+//! | [`seed`] | which numbers are seeds |
 //! | [`snapshot`] | the state of an environment as bytes |
 //! | [`error`] | refusals: the field, its value and what is allowed |
 //!
@@ -39,6 +40,7 @@ pub mod error;
 pub mod goal;
 mod mapping;
 pub mod placement;
+pub mod seed;
 pub mod sleep;
 pub mod snapshot;
 pub mod spec;
@@ -52,4 +54,4 @@ pub use spec::{OptionValue, Options, TaskSpec};
 pub use stage::Stage;
 
 /// Version of everything in this crate; both sides must have the same.
-pub const PROTOCOL_VERSION: u32 = 7;
+pub const PROTOCOL_VERSION: u32 = 8;

@@ -47,8 +47,8 @@ pub mod flag {
     /// Request: the reply shall carry the scripted expert's action, and its stage, for the state
     /// it returns.
     pub const WANT_EXPERT: u32 = 1;
-    /// Reset request: the numbers are seeds; otherwise each environment goes on to the next
-    /// episode of its seed.
+    /// Reset request: the numbers are seeds, and the episodes say which of each seed; otherwise each
+    /// environment goes on to the next episode of its seed.
     pub const HAS_SEEDS: u32 = 2;
     /// Render request: depth is wanted, and not colours.
     pub const DEPTH: u32 = 4;
@@ -167,6 +167,8 @@ pub struct RequestLayout {
     /// u64 (rows): seeds for a reset; snapshots for a restore; for a fork, the environments to go on
     /// from.
     pub numbers: Region,
+    /// u64 (rows): for a reset with seeds, which episode of its seed each environment begins.
+    pub episodes: Region,
     /// Size of the payload.
     pub bytes: usize,
 }
@@ -178,7 +180,8 @@ impl RequestLayout {
         let env_ids = plan.region::<u32>(1);
         let actions = plan.region::<f32>(spec.action_dim());
         let numbers = plan.region::<u64>(1);
-        Self { env_ids, actions, numbers, bytes: plan.bytes() }
+        let episodes = plan.region::<u64>(1);
+        Self { env_ids, actions, numbers, episodes, bytes: plan.bytes() }
     }
 }
 

@@ -292,10 +292,16 @@ impl Env {
     /// set (the first ever is episode 0 of seed 0).
     pub fn reset(&mut self, seed: Option<u64>) {
         match seed {
-            Some(seed) => (self.seed, self.episode) = (seed, 0),
+            Some(seed) => return self.reset_to(seed, 0),
             None if self.state == State::New => {}
             None => self.episode += 1,
         }
+        self.begin();
+    }
+
+    /// Begins an episode of a seed.
+    pub fn reset_to(&mut self, seed: u64, episode: u64) {
+        (self.seed, self.episode) = (trocar_proto::seed::of(seed.into()), episode);
         self.begin();
     }
 
@@ -336,7 +342,8 @@ impl Env {
 
     /// Sets the seed whose first episode the next reset without a seed begins.
     pub fn set_seed(&mut self, seed: u64) {
-        (self.seed, self.episode, self.state) = (seed, 0, State::New);
+        (self.seed, self.episode, self.state) =
+            (trocar_proto::seed::of(seed.into()), 0, State::New);
     }
 
     /// Whether an episode was ever begun.

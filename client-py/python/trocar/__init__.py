@@ -13,6 +13,22 @@ private server of this process tree, which is started and ended as needed.
 >>> info["is_success"]
 False
 >>> env.close()
+
+**Arrays.** Wherever a function takes an array, it takes what :func:`numpy.asarray` makes one of:
+arrays of any strides, alignment and byte order, packed records' fields, lists, and tensors of other
+libraries in the memory of the CPU. Values and shape count, and the layout does not:
+
+- *Numbers* (actions, goals, positions in reset options) are truth values, integers or floating
+  point, of any width. Actions and goals are rounded to the nearest float32, positions to float64.
+  An action has the shape of its space, two goals one shape (..., goal dim). Nothing is broadcast.
+- *Integers* (environments, seeds, states of a snapshot) are signed or unsigned, of any width.
+- *Truth values* (masks) are bool, and nothing else. Flags such as ``expert`` are ``True`` or
+  ``False``, Python's or NumPy's.
+- *Bytes* (exported snapshots) are bytes, or one row of elements of one byte each.
+
+All else is refused by a ``ValueError`` that names the argument, its shape and type, and what was
+expected: complex numbers, text, objects, rows of different lengths, masked values, tensors that
+their library does not hand over. A row-major, aligned array of float32 is not copied.
 """
 
 from trocar import errors

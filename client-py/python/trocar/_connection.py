@@ -16,10 +16,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trocar import _trocar
+from trocar._arrays import described, refused, truth
 from trocar._reset import Placement
 from trocar.errors import (
     Closed,
     InvalidOption,
+    InvalidSnapshot,
     NoServer,
     Reconnected,
     ResetNeeded,
@@ -31,13 +33,19 @@ from trocar.server import binary
 from trocar.snapshot import Snapshot
 
 SERVER = "TROCAR_SERVER"
-"""The environment variable that names the server to use where an environment names none."""
+"""The environment variable that names the server to use where an environment names none.
+
+An empty variable is none.
+"""
 
 PATIENCE = 60.0
 """How long ``reconnect=True`` waits for a server that is to come back, s."""
 
 LONGEST_PAUSE = 1.0
 """The longest pause between two looks for it, s."""
+
+Episodes = tuple[NDArray[np.uint64], NDArray[np.uint64]]
+"""An episode for each environment: its seed, and its number under that seed."""
 
 _T = TypeVar("_T")
 
@@ -53,13 +61,19 @@ def connect(server: str | None = None) -> _trocar.Client:
         server: Its name; ``None`` for ``$TROCAR_SERVER``, else the private server of this process
             tree, which is started if it does not run.
     """
-    name = server if server is not None else os.environ.get(SERVER)
+    if not isinstance(server, str | None):
+        raise refused(InvalidOption, "server", server, "the name of a server, or None")
+    name = server if server is not None else os.environ.get(SERVER) or None
     key = f"name {name}" if name is not None else f"private {_private_identity()}"
     with _lock:
         client = _clients.get(key)
         if client is None:
             if name is not None:
-                client = _trocar.Client.connect(name)
+                try:
+                    client = _trocar.Client.connect(name)
+                except InvalidOption as error:
+                    field = "server" if server is not None else f"${SERVER}"
+                    raise refuse(InvalidOption, field, name, error.allowed or "") from None
             else:
                 client = _trocar.Client.launch(_private_identity(), binary())
             _clients[key] = client
@@ -81,7 +95,7 @@ def _forget(client: _trocar.Client) -> None:
 def _private_identity() -> str:
     """What the private server of this process tree is called; child processes inherit it."""
     identity = os.environ.get(_trocar.PRIVATE_SERVER)
-    if identity is None:
+    if not identity:
         identity = os.environ[_trocar.PRIVATE_SERVER] = _trocar.new_identity()
     return identity
 
@@ -111,6 +125,7 @@ class Connection:
         reconnect: For how many seconds a lost server is waited for; ``True`` for 60.
         shown: What the environments make of the reply that shows where they go on after that:
             observation and info.
+        latest: The latest episodes of all environments; ``None`` if they had none.
     """
 
     def __init__(
@@ -125,16 +140,19 @@ class Connection:
         view: Mapping[str, Any] | None,
         reconnect: bool | float,
         shown: Callable[[_trocar.Reply], tuple[Any, dict[str, Any]]],
+        latest: Callable[[], Episodes | None],
     ) -> None:
-        self._patience = PATIENCE if reconnect is True else float(reconnect)
-        if not self._patience >= 0.0:
-            raise refuse(InvalidOption, "reconnect", reconnect, "allowed are seconds, or a bool")
+        if not isinstance(task, str):
+            raise refused(InvalidOption, "task", task, "the id of a task, e.g. 'NeedleReach-v0'")
+        self._patience = _seconds(reconnect)
         # Weakly: environments end where nobody has them any more.
         self._shown = weakref.WeakMethod(shown)
+        self._latest = weakref.WeakMethod(latest)
+        self._episodes: Episodes | None = None
         self._seed: int | None = None
         self._seeds: NDArray[np.uint64] | None = None
         self._checkpoint: Snapshot | None = None
-        self.expert = expert
+        self.expert = truth(expert, "expert")
         self._server = server
         self._request: dict[str, Any] = {
             "task": task,
@@ -155,9 +173,15 @@ class Connection:
         env_ids: NDArray[np.uint32] | None = None,
         seeds: NDArray[np.uint64] | None = None,
     ) -> _trocar.Reply:
-        """Resets environments; a reset of all opens the session anew where that is needed."""
-        self._ready(everything=env_ids is None)
-        reply = self._try(lambda session: session.reset(env_ids, seeds))
+        """Resets environments; a reset of all opens the session anew where that is needed.
+
+        Without seeds, a session opened anew goes on with the episodes after the latest ones.
+        """
+        following: Episodes | None = None
+        if self._ready(everything=env_ids is None) and seeds is None:
+            following = self._following()
+        first, which = (seeds, None) if following is None else following
+        reply = self._try(lambda session: session.reset(env_ids, first, which))
         if env_ids is None and seeds is not None:
             self._seeds = seeds
         return reply
@@ -168,9 +192,9 @@ class Connection:
         """Lets episodes that have only begun begin as placements ask for."""
         return self._try(lambda session: session.arrange(placements, env_ids))
 
-    def step(self, actions: Any) -> _trocar.Reply:
-        """Steps all environments."""
-        return self._try(lambda session: session.step(actions))
+    def step(self, actions: Any, single: bool = False) -> _trocar.Reply:
+        """Steps all environments; ``single`` if their action space has no axis of environments."""
+        return self._try(lambda session: session.step(actions, single))
 
     def send(self, actions: Any, env_ids: NDArray[np.uint32]) -> None:
         """Starts a step of some environments."""
@@ -188,6 +212,8 @@ class Connection:
         self, snapshot: Snapshot, env_ids: NDArray[np.uint32] | None = None
     ) -> _trocar.Reply:
         """Lets environments go on from a snapshot; all of them also in a session opened anew."""
+        if not isinstance(snapshot, Snapshot):
+            raise refused(InvalidSnapshot, "snapshot", snapshot, "a trocar.Snapshot")
         self._ready(everything=env_ids is None)
         return self._try(lambda session: session.restore(snapshot.states_in(session), env_ids))
 
@@ -229,13 +255,24 @@ class Connection:
         self._closed = True
         self._drop()
 
-    def _ready(self, *, everything: bool) -> None:
-        """Opens the session anew where that is needed by a request about everything."""
+    def _ready(self, *, everything: bool) -> bool:
+        """Opens the session anew where a request about everything needs that; whether it did."""
         if self._closed:
             raise Closed("the environment was closed")
         foreign = self._process != os.getpid()
-        if everything and (self._session is None or foreign):
+        opens = everything and (self._session is None or foreign)
+        if opens:
             self._open()
+        return opens
+
+    def _following(self) -> Episodes | None:
+        """The episodes after the latest ones; ``None`` if there were none."""
+        latest = self._latest()
+        episodes = None if latest is None else latest()
+        if episodes is None:
+            return self._episodes
+        seeds, numbers = episodes
+        return seeds.astype(np.uint64), numbers.astype(np.uint64) + np.uint64(1)
 
     def _open(self, seed: int | None = None) -> _trocar.Session:
         """Opens a session; without a seed, whose seed nobody knows, as Gymnasium wants it."""
@@ -311,17 +348,33 @@ class Connection:
     def __getstate__(self) -> dict[str, Any]:
         """What to open, and not what is open: a copy opens a session of its own when reset."""
         closed = {"_session": None, "_client": None, "_process": 0}
-        return {**self.__dict__, **closed, "_shown": self._shown()}
+        methods = {"_shown": self._shown(), "_latest": self._latest()}
+        return {**self.__dict__, **closed, **methods, "_episodes": self._following()}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
         self._shown = weakref.WeakMethod(state["_shown"])
+        self._latest = weakref.WeakMethod(state["_latest"])
         _connections.add(self)
 
     def __del__(self) -> None:
         # Attributes are missing where `__init__` failed early.
         if getattr(self, "_session", None) is not None:
             self.close()
+
+
+def _seconds(reconnect: Any) -> float:
+    """For how long a lost server is waited for, s."""
+    if isinstance(reconnect, bool | np.bool_):
+        return PATIENCE if reconnect else 0.0
+    try:
+        seconds = float(reconnect)
+    except (TypeError, ValueError):
+        seconds = -1.0
+    if not seconds >= 0.0:
+        allowed = "allowed are seconds, or a bool"
+        raise refuse(InvalidOption, "reconnect", reconnect, allowed, described(reconnect))
+    return seconds
 
 
 @atexit.register
@@ -344,7 +397,7 @@ os.register_at_fork(after_in_child=_after_fork_in_child)
 
 # Now, so that whatever processes this one starts agree on the server. A name inherited from a
 # process that has ended would lead to a server that ends at once.
-if SERVER not in os.environ:
+if not os.environ.get(SERVER):
     if _outlived(os.environ.get(_trocar.PRIVATE_SERVER, "")):
         del os.environ[_trocar.PRIVATE_SERVER]
     _private_identity()

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-import operator
-from collections.abc import Mapping, Sequence
+import sys
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from typing import Any, cast
+from types import MethodType
+from typing import Any, Concatenate, Generic, ParamSpec, TypeVar, cast
 
 import numpy as np
 from gymnasium import spaces
@@ -13,6 +14,7 @@ from gymnasium.envs.registration import EnvSpec
 from numpy.typing import ArrayLike, NDArray
 
 from trocar import _trocar
+from trocar._arrays import described, integer
 from trocar.errors import InvalidOption, InvalidRequest, refuse
 
 Arrays = dict[str, NDArray[Any]]
@@ -22,8 +24,8 @@ pictures where they are asked for."""
 Observation = Any
 """What environments return: :data:`Arrays`, or the one array of a task without goals."""
 
-LARGEST_SEED = 2**63 - 1
-"""Seeds are below 2**63, so that they fit into NumPy's integers."""
+_P = ParamSpec("_P")
+_R = TypeVar("_R")
 
 
 class Described:
@@ -42,22 +44,61 @@ class Described:
 
     @spec.setter
     def spec(self, spec: EnvSpec | None) -> None:
-        if spec is not None and spec.max_episode_steps is None:
-            spec = replace(spec, max_episode_steps=self.task_spec.max_steps)
+        if spec is not None:
+            own, wanted = self.task_spec.max_steps, _wanted_steps(spec)
+            if wanted is None:
+                spec = replace(spec, max_episode_steps=own)
+            elif not 1 <= wanted <= own:
+                cast("Any", self).close()
+                allowed = f"allowed are 1 to {own}, the task's own number"
+                raise refuse(InvalidOption, "max_episode_steps", wanted, allowed)
         self._spec = spec
+
+
+def _wanted_steps(spec: EnvSpec) -> int | None:
+    """The time limit of an environment that Gymnasium makes.
+
+    Gymnasium tells only its wrapper, which cannot make episodes longer than they are: what can be
+    refused in time is in the call of ``gymnasium.make``.
+    """
+    maker = sys._getframe(2)
+    wanted = spec.max_episode_steps
+    if maker.f_globals.get("__name__") == "gymnasium.envs.registration":
+        registered = getattr(maker.f_locals.get("env_spec"), "max_episode_steps", None)
+        asked = maker.f_locals.get("max_episode_steps")
+        wanted = registered if asked is None else asked
+    return wanted
+
+
+class _OfGoals(Generic[_P, _R]):
+    """A method that only those environments have whose task has goals."""
+
+    def __init__(self, function: Callable[Concatenate[Any, _P], _R]) -> None:
+        self._function = function
+        self.__doc__ = function.__doc__
+
+    def __get__(self, env: Any, kind: type | None = None) -> Callable[_P, _R]:
+        if env is None:
+            return cast("Callable[_P, _R]", self)
+        spec: _trocar.TaskSpec = env.task_spec
+        name = self._function.__name__
+        if not spec.has_goals or (name == "compute_reward" and spec.reward == "state"):
+            raise AttributeError(f"{spec.id} has no {name}: it is no function of goals there")
+        return cast("Callable[_P, _R]", MethodType(self._function, env))
 
 
 class GoalFunctions:
     """Rewards as pure functions of goals, for one pair of goals or any batch of them.
 
     The functions are those that the server uses, so relabelled transitions (hindsight experience
-    replay) get exactly the reward that the server would have given. A task without goals has no
-    such functions: they raise :class:`~trocar.errors.Unsupported`.
+    replay) get exactly the reward that the server would have given. Environments of a task without
+    goals have no such attributes: ``hasattr(env.unwrapped, "compute_reward")`` is false.
     """
 
     task_spec: _trocar.TaskSpec
     _ends_on_success: bool = False
 
+    @_OfGoals
     def compute_reward(
         self, achieved_goal: ArrayLike, desired_goal: ArrayLike, info: Any = None
     ) -> Any:
@@ -71,6 +112,7 @@ class GoalFunctions:
         del info
         return self.task_spec.compute_reward(achieved_goal, desired_goal)[()]
 
+    @_OfGoals
     def compute_terminated(
         self, achieved_goal: ArrayLike, desired_goal: ArrayLike, info: Any = None
     ) -> Any:
@@ -82,6 +124,7 @@ class GoalFunctions:
         success = self.task_spec.compute_success(achieved_goal, desired_goal)
         return (success if self._ends_on_success else np.zeros_like(success))[()]
 
+    @_OfGoals
     def compute_truncated(
         self, achieved_goal: ArrayLike, desired_goal: ArrayLike, info: Any = None
     ) -> Any:
@@ -89,6 +132,7 @@ class GoalFunctions:
         del info
         return np.zeros_like(self.task_spec.compute_success(achieved_goal, desired_goal))[()]
 
+    @_OfGoals
     def compute_success(self, achieved_goal: ArrayLike, desired_goal: ArrayLike) -> Any:
         """Whether goals of shape (..., goal dim) are reached: bool of shape (...)."""
         return self.task_spec.compute_success(achieved_goal, desired_goal)[()]
@@ -167,14 +211,11 @@ def shown(arrays: Arrays) -> Observation:
 
 
 def check_seed(seed: Any, field: str = "seed") -> int:
-    """The seed as a number, if it is one that is allowed."""
-    try:
-        number = operator.index(seed)
-    except TypeError:
-        number = -1
-    if not 0 <= number <= LARGEST_SEED:
-        raise refuse(InvalidRequest, field, seed, f"allowed are integers from 0 to {LARGEST_SEED}")
-    return number
+    """The seed of a number, which may be any non-negative integer."""
+    number = integer(seed, field, InvalidRequest, "a non-negative integer")
+    if number < 0:
+        raise refuse(InvalidRequest, field, seed, "expected a non-negative integer")
+    return _trocar.seed_of(number.to_bytes(number.bit_length() // 8 + 1, "little"))
 
 
 PICTURES = ("rgb_array", "depth_array")
@@ -189,6 +230,9 @@ def view(mode: str | None, options: Mapping[str, Any] | None) -> dict[str, Any] 
     if mode is not None and mode not in RENDER_MODES:
         allowed = f"allowed are None, {', '.join(map(repr, RENDER_MODES))}"
         raise refuse(UnknownRenderMode, "render_mode", mode, allowed)
+    if options is not None and not isinstance(options, Mapping):
+        allowed = "expected a dictionary"
+        raise refuse(InvalidOption, "render_options", options, allowed, described(options))
     if mode in PICTURES:
         return dict(options or {})
     if options:

@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trocar import _trocar
-from trocar.errors import InvalidOption, refuse
+from trocar._arrays import numbers, refused
+from trocar.errors import InvalidOption
 
 Placement = tuple[list[float] | None, dict[str, list[float]], list[float] | None]
 """How an episode shall begin: goal, poses of objects by name, tips."""
@@ -34,6 +35,8 @@ class ResetOptions:
         self, options: Mapping[str, Any] | None, envs: Sequence[int] = (0,)
     ) -> list[Placement]:
         """How the episodes of ``envs`` shall begin: one for each, one for all, or none."""
+        if options is not None and not isinstance(options, Mapping):
+            raise refused(InvalidOption, "options", options, "a dictionary")
         given = {name: value for name, value in (options or {}).items() if value is not None}
         goal, objects, tip = (given.pop(name, None) for name in ("goal", "objects", "tip"))
         if self._num_envs is not None:
@@ -43,7 +46,7 @@ class ResetOptions:
             gym.logger.warn(f"unknown reset options are ignored: {sorted(map(str, given))}")
         objects = {} if objects is None else objects
         if not isinstance(objects, Mapping):
-            raise refuse(InvalidOption, "options.objects", objects, "expected poses by name")
+            raise refused(InvalidOption, "options.objects", objects, "poses by name")
         goals = None if goal is None else self._rows("options.goal", goal)
         tips = None if tip is None else self._rows("options.tip", tip, self._arms)
         poses = {
@@ -65,18 +68,16 @@ class ResetOptions:
 
     def _rows(self, field: str, value: Any, arms: int = 1) -> NDArray[np.float64]:
         """A value as (1, numbers), for all environments, or (num_envs, numbers), one for each."""
-        try:
-            array = np.asarray(value)
-        except ValueError:
-            array = np.empty(0, object)  # rows of different lengths
+        shape = "(n,)" if arms == 1 else f"({arms}, n)"
+        each = "" if self._num_envs is None else f", or {self._num_envs} such arrays"
+        expected = f"numbers of shape {shape}{each}"
+        array = numbers(value, field, InvalidOption, expected=expected)
         one = min(arms, 2)
         is_one = array.ndim == one
         is_each = array.ndim == one + 1 and len(array) == self._num_envs
         is_whole = arms == 1 or array.shape[-2:-1] == (arms,)
-        if array.dtype.kind not in "iuf" or not (is_one or is_each) or not is_whole:
-            shape = "(n,)" if arms == 1 else f"({arms}, n)"
-            each = "" if self._num_envs is None else f", or {self._num_envs} such arrays"
-            raise refuse(InvalidOption, field, value, f"expected numbers of shape {shape}{each}")
+        if not (is_one or is_each) or not is_whole:
+            raise refused(InvalidOption, field, value, expected)
         return array.astype(np.float64).reshape(len(array) if is_each else 1, -1)
 
 

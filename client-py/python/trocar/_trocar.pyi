@@ -25,6 +25,7 @@ __all__ = [
     "TaskSpec",
     "__version__",
     "new_identity",
+    "seed_of",
     "split_snapshot",
 ]
 
@@ -35,6 +36,9 @@ STAGES: tuple[str, ...]
 
 def new_identity() -> str:
     """A name for a private server that nobody else has, with this process as its root."""
+
+def seed_of(number: bytes) -> int:
+    """The seed of a number of any size, given by its bytes, the least significant one first."""
 
 def split_snapshot(data: bytes) -> list[bytes]:
     """The parts of an exported snapshot, one for each environment."""
@@ -110,9 +114,15 @@ class Session:
     def in_flight(self) -> int:
         """Number of requests whose replies can be received."""
     def reset(
-        self, env_ids: NDArray[np.uint32] | None = None, seeds: NDArray[np.uint64] | None = None
+        self,
+        env_ids: NDArray[np.uint32] | None = None,
+        seeds: NDArray[np.uint64] | None = None,
+        episodes: NDArray[np.uint64] | None = None,
     ) -> Reply:
-        """Resets environments and waits; with another request in flight it is refused."""
+        """Resets environments and waits; with another request in flight it is refused.
+
+        With seeds, they begin these episodes of them, or the first ones.
+        """
     def arrange(
         self,
         placements: Sequence[
@@ -121,8 +131,11 @@ class Session:
         env_ids: NDArray[np.uint32] | None = None,
     ) -> Reply:
         """Lets episodes that have only begun begin as placements ask for, and waits."""
-    def step(self, actions: ArrayLike) -> Reply:
-        """Steps all environments and waits; with another request in flight it is refused."""
+    def step(self, actions: ArrayLike, single: bool = False) -> Reply:
+        """Steps all environments and waits; with another request in flight it is refused.
+
+        ``single`` says that the user's action space has no axis of environments.
+        """
     def send(self, actions: ArrayLike, env_ids: NDArray[np.uint32]) -> None:
         """Starts a step of some environments."""
     def recv(self) -> Reply:
@@ -194,12 +207,12 @@ class Reply:
         """Whether the simulation failed: (rows)."""
     def steps(self) -> NDArray[np.uint32]:
         """Steps since the episode began: (rows); 0 after a reset or autoreset."""
-    def seed(self) -> NDArray[np.uint64]:
+    def episode_seed(self) -> NDArray[np.int64]:
         """Seed of the episode: (rows)."""
-    def episode(self) -> NDArray[np.uint64]:
+    def episode_index(self) -> NDArray[np.int64]:
         """Number of the episode under its seed: (rows)."""
     def transition(
-        self, next_step: bool, expert: bool, copy: bool
+        self, expert: bool, copy: bool
     ) -> tuple[
         Any,
         NDArray[np.float32],
@@ -210,11 +223,10 @@ class Reply:
     ]:
         """What Gymnasium's vector environments return of a step, in one call.
 
-        The last value says whether somewhere an episode began or the simulation failed. Where
-        ``next_step`` is true, a step that began an episode was no transition.
+        The last value says whether somewhere an episode began.
         """
-    def outcome(self) -> tuple[float, bool, bool, bool, bool]:
-        """Reward, terminated, truncated, success and fault of row 0, without arrays."""
+    def outcome(self) -> tuple[float, bool, bool, bool, bool, int, int]:
+        """Reward, terminated, truncated, success, fault, seed and episode of row 0, no arrays."""
 
 @final
 class Snapshot:
@@ -253,6 +265,9 @@ class TaskSpec:
     @property
     def goal(self) -> list[Element] | None:
         """Achieved and desired goal; ``None`` for tasks without goals."""
+    @property
+    def has_goals(self) -> bool:
+        """Whether the task has goals."""
     @property
     def images(self) -> ImageSpec | None:
         """The pictures of an observation; ``None`` where they are not asked for."""

@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from trocar import _trocar
-from trocar._connection import Connection
+from trocar._arrays import truth
+from trocar._connection import Connection, Episodes
 from trocar._goal import (
     PICTURES,
     RENDER_MODES,
@@ -50,10 +51,16 @@ class TrocarEnv(Described, GoalFunctions, gym.Env[Observation, NDArray[np.float3
 
     ``reset(seed=s)`` begins the first episode of seed ``s``, ``reset()`` the next one; which one it
     was, ``info["episode_seed"]`` and ``info["episode_index"]`` tell. Without any seed, a random one
-    is drawn.
+    is drawn. Any non-negative integer is a seed; those from 2**63 on are mixed to one below it,
+    which ``episode_seed`` then has and which begins the same episodes.
+
+    Infos of resets and steps have the same keys: ``is_success``, ``simulation_failed``,
+    ``episode_seed`` and ``episode_index``; with ``expert=True`` also ``expert_action`` and
+    ``expert_stage``.
 
     A copy, pickled or deep, has no session; its first ``reset`` opens one. So does a reset in a
-    forked child process, and a reset after the server was lost. Until then steps raise
+    forked child process, and a reset after the server was lost. Without a seed, such a reset begins
+    the episode that comes next, as the original's would. Until then steps raise
     :class:`~trocar.errors.ResetNeeded`, :class:`~trocar.errors.ForkedError` and
     :class:`~trocar.errors.ServerLost`.
     """
@@ -100,7 +107,8 @@ class TrocarEnv(Described, GoalFunctions, gym.Env[Observation, NDArray[np.float3
         """
         wanted = view(render_mode, render_options)
         self.render_mode = render_mode
-        self._copy = copy
+        self._copy = truth(copy, "copy")
+        self._episode: tuple[int, int] | None = None
         self._window: Window | None = None
         self._expert_action: NDArray[np.float32] | None = None
         self._ends_on_success = options.get("terminate") == "success"
@@ -114,6 +122,7 @@ class TrocarEnv(Described, GoalFunctions, gym.Env[Observation, NDArray[np.float3
             view=wanted,
             reconnect=reconnect,
             shown=self._begun,
+            latest=self._latest,
         )
         if render_mode == "human":
             self._window = Window(self.task_spec.seconds_per_step)
@@ -134,7 +143,7 @@ class TrocarEnv(Described, GoalFunctions, gym.Env[Observation, NDArray[np.float3
         """Begins the first episode of ``seed``, or without one the next episode.
 
         Args:
-            seed: Whose first episode begins.
+            seed: Whose first episode begins: any non-negative integer.
             options: What shall be otherwise than the seed has it. Lengths are in m under every
                 preset, in the scene frame. A pose is three numbers, its position, or six: then also
                 roll, pitch and yaw (extrinsic XYZ Euler angles, rad). Names that are not listed
@@ -165,16 +174,31 @@ class TrocarEnv(Described, GoalFunctions, gym.Env[Observation, NDArray[np.float3
 
     def _begun(self, reply: _trocar.Reply) -> tuple[Observation, dict[str, Any]]:
         """Observation and info of an episode that begins, or goes on elsewhere."""
-        info = {"episode_seed": int(reply.seed()[0]), "episode_index": int(reply.episode()[0])}
+        *_, seed, episode = reply.outcome()
+        info = self._info(False, False, seed, episode)
         return self._observation(reply, info), info
+
+    def _info(self, success: bool, failed: bool, seed: int, episode: int) -> dict[str, Any]:
+        self._episode = seed, episode
+        return {
+            "is_success": success,
+            "simulation_failed": failed,
+            "episode_seed": seed,
+            "episode_index": episode,
+        }
+
+    def _latest(self) -> Episodes | None:
+        """Seed and number of the latest episode."""
+        if self._episode is None:
+            return None
+        seed, episode = self._episode
+        return np.array([seed], np.uint64), np.array([episode], np.uint64)
 
     def step(self, action: ArrayLike) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Acts, and returns observation, reward, terminated, truncated, info."""
-        reply = self._connection.step(action)
-        reward, terminated, truncated, success, failed = reply.outcome()
-        info: dict[str, Any] = {"is_success": success}
-        if failed:
-            info["simulation_failed"] = True
+        reply = self._connection.step(action, True)
+        reward, terminated, truncated, success, failed, *which = reply.outcome()
+        info = self._info(success, failed, *which)
         if self._window is not None:
             self._window.step()
         return self._observation(reply, info), reward, terminated, truncated, info
@@ -200,7 +224,7 @@ class TrocarEnv(Described, GoalFunctions, gym.Env[Observation, NDArray[np.float3
         What then follows has the same bits as what followed the snapshot, seeds of later episodes
         included. It may be another environment's, of the same task and options.
         """
-        return self._observation(self._connection.restore(snapshot), {})
+        return self._begun(self._connection.restore(snapshot))[0]
 
     def fork(self) -> TrocarEnv:
         """A second environment, with a session of its own, that goes on from the present state."""

@@ -30,8 +30,11 @@ class UnknownTask(InvalidRequest):
     """The server knows no task of that name."""
 
 
-class UnknownOption(InvalidRequest):
-    """The task has no option of that name."""
+class UnknownOption(InvalidRequest, TypeError):
+    """The task has no option of that name.
+
+    A ``TypeError`` too, with Python's words: libraries that try a keyword then go on without it.
+    """
 
 
 class InvalidOption(InvalidRequest):
@@ -161,8 +164,11 @@ class Internal(TrocarError):
     """A fault of Trocar's own; please report it."""
 
 
-def refuse(error: type[InvalidRequest], field: str, value: object, allowed: str) -> InvalidRequest:
-    """An error that names the field, the value it had, and what is allowed."""
-    refusal = error(f"{field} = {value!r}: {allowed}")
-    refusal.field, refusal.value, refusal.allowed = field, repr(value), allowed
+def refuse(
+    error: type[InvalidRequest], field: str, value: object, allowed: str, words: str | None = None
+) -> InvalidRequest:
+    """An error that names the field, the value it had, or words for it, and what is allowed."""
+    words = repr(value) if words is None else words
+    refusal = error(f"{field} = {words}: {allowed}")
+    refusal.field, refusal.value, refusal.allowed = field, words, allowed
     return refusal

@@ -20,10 +20,11 @@ from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 from stable_baselines3.common.vec_env.base_vec_env import VecEnv, VecEnvStepReturn
 
+from trocar._arrays import selected
 from trocar._goal import GoalFunctions
 from trocar.errors import InvalidEnvIds, InvalidOption, InvalidRequest, refuse
 from trocar.registration import NAMESPACE
-from trocar.vector import EPISODE, EXPERT, TrocarVectorEnv
+from trocar.vector import EPISODE, EXPERT, OUTCOME, TrocarVectorEnv
 
 METHODS = tuple(name for name in vars(GoalFunctions) if name.startswith("compute_"))
 """What :meth:`TrocarVecEnv.env_method` answers: functions of goals, without asking the server."""
@@ -54,9 +55,9 @@ def make_vec(
 class TrocarVecEnv(VecEnv):
     """N environments of a task in one session of a server, as Stable-Baselines3 has them.
 
-    Between :meth:`step_async` and :meth:`step_wait` the server simulates. Info dicts hold
-    ``is_success`` and, where an episode ended, ``terminal_observation`` and
-    ``TimeLimit.truncated``; :attr:`reset_infos` tell which episodes began.
+    Between :meth:`step_async` and :meth:`step_wait` the server simulates. Info dicts hold what a
+    single environment's do, ``TimeLimit.truncated`` and, where an episode ended,
+    ``terminal_observation``; :attr:`reset_infos` tell which episodes began.
 
     For hindsight replay, ``compute_reward`` is answered in this process. Returns of episodes are
     recorded by Stable-Baselines3's ``VecMonitor``.
@@ -87,12 +88,15 @@ class TrocarVecEnv(VecEnv):
             raise refuse(InvalidOption, "options", self._options, "no reset options are known")
         observations, infos = self.envs.reset(seed=self._seeds)
         self._reset_seeds()
-        for row in range(self.num_envs):
-            self.reset_infos[row] = self._begun(infos, row)
+        self.reset_infos = self._told(infos)
         return observations
 
     def step_async(self, actions: NDArray[np.float32]) -> None:
-        """Starts a step; ``actions`` has shape (num_envs, action dim)."""
+        """Starts a step; ``actions`` has shape (num_envs, action dim).
+
+        The reply to a step whose wait was interrupted, as by Ctrl-C, is dropped.
+        """
+        self.envs.drop_replies()
         self.envs.send(actions)
 
     def step_wait(self) -> VecEnvStepReturn:
@@ -102,18 +106,14 @@ class TrocarVecEnv(VecEnv):
         """
         observations, rewards, terminations, truncations, infos = self.envs.recv()
         dones = terminations | truncations
-        told = [{"is_success": success} for success in infos["is_success"].tolist()]
+        told = self._told(infos)
         for row in np.flatnonzero(dones).tolist():
+            last = infos["final_info"]
+            self.reset_infos[row] = {**told[row], **dict.fromkeys(OUTCOME, False)}
+            told[row] |= {name: last[name][row].item() for name in (*OUTCOME, *EPISODE)}
             told[row]["terminal_observation"] = infos["final_obs"][row]
-            told[row]["TimeLimit.truncated"] = bool(truncations[row] and not terminations[row])
-            self.reset_infos[row] = self._begun(infos, row)
-        if "simulation_failed" in infos:
-            for row in np.flatnonzero(infos["simulation_failed"]).tolist():
-                told[row]["simulation_failed"] = True
-        for name in EXPERT:
-            if name in infos:
-                for info, value in zip(told, infos[name], strict=True):
-                    info[name] = value
+        for info, truncated in zip(told, (truncations & ~terminations).tolist(), strict=True):
+            info["TimeLimit.truncated"] = truncated
         return observations, rewards, dones, told
 
     def env_method(
@@ -171,15 +171,33 @@ class TrocarVecEnv(VecEnv):
         """Ends the session; twice does no harm."""
         self.envs.close()
 
-    def _begun(self, infos: dict[str, Any], row: int) -> dict[str, Any]:
-        """What there is to tell of the episode that began in an environment."""
-        told = {name: int(infos[name][row]) for name in EPISODE}
-        return told | {name: infos[name][row] for name in EXPERT if name in infos}
+    def _told(self, infos: dict[str, Any]) -> list[dict[str, Any]]:
+        """Infos as a dictionary for each environment, with the values of a single one's."""
+        columns = (infos[name].tolist() for name in (*OUTCOME, *EPISODE))
+        # Written out, since it is done for every environment at every step.
+        told: list[dict[str, Any]] = [
+            {
+                "is_success": success,
+                "simulation_failed": failed,
+                "episode_seed": seed,
+                "episode_index": episode,
+            }
+            for success, failed, seed, episode in zip(*columns, strict=True)
+        ]
+        if EXPERT[0] in infos:
+            stages = infos["expert_stage"].tolist()
+            for info, action, stage in zip(told, infos["expert_action"], stages, strict=True):
+                info |= {"expert_action": action, "expert_stage": stage}
+        return told
 
     def _rows(self, indices: int | Iterable[int] | None) -> list[int]:
         """The environments that ``indices`` mean."""
-        rows = list(self._get_indices(indices))
-        if not all(-self.num_envs <= row < self.num_envs for row in rows):
+        if indices is None:
+            return list(range(self.num_envs))
+        if not hasattr(indices, "dtype") and isinstance(indices, Iterable):
+            indices = list(indices)
+        try:
+            return selected(indices, self.num_envs)
+        except (IndexError, InvalidRequest):
             allowed = f"allowed are numbers below {self.num_envs}"
-            raise refuse(InvalidEnvIds, "indices", indices, allowed)
-        return [row % self.num_envs for row in rows]
+            raise refuse(InvalidEnvIds, "indices", indices, allowed) from None

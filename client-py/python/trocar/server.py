@@ -28,10 +28,13 @@ def binary() -> str:
     Python, else the one on the PATH.
 
     Raises:
-        LaunchError: There is none.
+        LaunchError: There is none, or the variable names none.
     """
     named = os.environ.get(_trocar.BINARY)
     if named:
+        if shutil.which(named) is None:
+            what = "there is no such program; name the trocar program, or unset the variable"
+            raise LaunchError(f"${_trocar.BINARY} = {named!r}: {what}")
         return named
     schemes = [sysconfig.get_default_scheme(), sysconfig.get_preferred_scheme("user")]
     folders = [sysconfig.get_path("scripts", scheme) for scheme in schemes]
@@ -107,10 +110,11 @@ class Server:
         """
         if self._process is not None:
             return self
+        program = binary()
         self._log = self._log_path.open("w+b") if self._log_path else tempfile.TemporaryFile()
         try:
             self._process = subprocess.Popen(
-                [binary(), *self._arguments],
+                [program, *self._arguments],
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.DEVNULL,
                 stderr=self._log,

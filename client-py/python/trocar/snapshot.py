@@ -5,7 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from weakref import WeakKeyDictionary
 
+from numpy.typing import ArrayLike
+
 from trocar import _trocar
+from trocar._arrays import octets, selected
 from trocar.errors import UnknownSnapshot
 
 
@@ -18,7 +21,8 @@ class Snapshot:
     good for the same task and options under the same release of Trocar. Such a state is rebuilt
     where it is first restored, which takes as long as its episode took up to there.
 
-    Indices select states, as in ``snapshot[0]``, ``snapshot[2:4]`` or ``snapshot[[0, 0, 3]]``.
+    Indices select states, as in ``snapshot[0]``, ``snapshot[2:4]``, ``snapshot[[0, 0, 3]]`` or, by
+    a truth value for each state, ``snapshot[succeeded]``.
     """
 
     def __init__(
@@ -41,9 +45,13 @@ class Snapshot:
         self._length = len(parts) if states is None else len(states)
 
     @classmethod
-    def from_bytes(cls, data: bytes) -> Snapshot:
-        """The snapshot that :meth:`to_bytes` wrote."""
-        return cls(parts=_trocar.split_snapshot(data))
+    def from_bytes(cls, data: ArrayLike) -> Snapshot:
+        """The snapshot that :meth:`to_bytes` wrote.
+
+        Args:
+            data: The bytes, or one row of one-byte elements: a bytearray, memoryview or array.
+        """
+        return cls(parts=_trocar.split_snapshot(octets(data, "data")))
 
     def to_bytes(self) -> bytes:
         """The states as bytes; for the first time, while the environment is open."""
@@ -65,15 +73,9 @@ class Snapshot:
         """Number of states."""
         return self._length
 
-    def __getitem__(self, index: int | slice | Sequence[int]) -> Snapshot:
+    def __getitem__(self, index: slice | ArrayLike) -> Snapshot:
         """A snapshot of some of the states."""
-        numbers = range(len(self))
-        if isinstance(index, slice):
-            chosen = list(numbers[index])
-        elif isinstance(index, Sequence):
-            chosen = [numbers[number] for number in index]
-        else:
-            chosen = [numbers[index]]
+        chosen = selected(index, len(self))
         if not chosen:
             raise IndexError("a snapshot has at least one state")
         part = Snapshot(parts=[self._parts[number] for number in chosen] if self._parts else ())

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import operator
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
@@ -12,7 +13,8 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import ArrayLike, NDArray
 
 from trocar import _trocar
-from trocar._connection import Connection
+from trocar._arrays import integer, integers, is_single, refused, truth, truths
+from trocar._connection import Connection, Episodes
 from trocar._goal import (
     PICTURES,
     RENDER_MODES,
@@ -30,7 +32,14 @@ from trocar._goal import (
 )
 from trocar._reset import ResetOptions
 from trocar._window import Window
-from trocar.errors import InvalidEnvIds, InvalidOption, InvalidRequest, ResetNeeded, refuse
+from trocar.errors import (
+    InvalidEnvCount,
+    InvalidEnvIds,
+    InvalidOption,
+    InvalidRequest,
+    ResetNeeded,
+    refuse,
+)
 from trocar.snapshot import Snapshot
 
 Step = tuple[Observation, NDArray[np.float32], NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]
@@ -38,6 +47,9 @@ Step = tuple[Observation, NDArray[np.float32], NDArray[np.bool_], NDArray[np.boo
 
 EPISODE = ("episode_seed", "episode_index")
 """Infos that say which episode began; ``episode`` alone is what Gymnasium's recorders use."""
+
+OUTCOME = ("is_success", "simulation_failed")
+"""Infos of transitions; false where a reset made none."""
 
 EXPERT = ("expert_action", "expert_stage")
 """Infos of the scripted expert, where it is asked for."""
@@ -50,8 +62,9 @@ class TrocarVectorEnv(
 
     What is said of :class:`~trocar.TrocarEnv` holds for each of them. Infos are Gymnasium's: an
     array per key, and under ``_key`` where it applies. ``is_success`` tells of every transition,
-    also where ``same_step`` autoreset began a new episode; ``episode_seed`` and ``episode_index``
-    tell of the episodes that began. ``same_step`` adds ``final_obs`` and ``final_info``.
+    also where ``same_step`` autoreset began a new episode, which ``episode_seed`` and
+    ``episode_index`` then tell of. Where an episode ended, ``same_step`` adds ``final_obs`` and
+    ``final_info``.
 
     Instead of :meth:`step`, up to two disjoint groups of environments may be under way by
     :meth:`send` and :meth:`recv`: while one is simulated, the other's actions can be computed.
@@ -86,7 +99,8 @@ class TrocarVectorEnv(
             render_options: How :meth:`render` draws: ``image_size`` (H, W; 480 by 640), ``camera``
                 (``overview``, ``endoscope``, ``stereo`` with one picture above the other,
                 ``placed``), and ``camera_eye``, ``camera_target``, ``camera_view`` of a placed one.
-            max_episode_steps: The task's own number or ``None``.
+            max_episode_steps: The task's own number or ``None``; Gymnasium's wrapper of single
+                environments can make it less.
             expert: Whether ``infos["expert_action"]`` shall hold the scripted expert's actions, and
                 ``infos["expert_stage"]`` what it is about, by number in ``trocar.STAGES``.
             copy: With ``False``, observations are read-only views of shared memory, valid until
@@ -100,27 +114,35 @@ class TrocarVectorEnv(
             ValueError: An option is unknown or not allowed; the message lists what is.
         """
         self.closed = True  # until there is something to close
+        num_envs = integer(num_envs, "num_envs", InvalidEnvCount, "a positive integer")
         wanted = view(render_mode, render_options)
         self.autoreset_mode = _autoreset_mode(autoreset_mode)
         self._ends_on_success = options.get("terminate") == "success"
-        self._connection = Connection(
-            task,
-            server=server,
-            envs=num_envs,
-            autoreset=self.autoreset_mode.value,
-            expert=expert,
-            options=options,
-            view=wanted,
-            reconnect=reconnect,
-            shown=self._begun,
-        )
+        try:
+            self._connection = Connection(
+                task,
+                server=server,
+                envs=min(num_envs, 2**32),
+                autoreset=self.autoreset_mode.value,
+                expert=expert,
+                options=options,
+                view=wanted,
+                reconnect=reconnect,
+                shown=self._begun,
+                latest=self._latest_episodes,
+            )
+        except InvalidEnvCount as error:
+            raise refuse(InvalidEnvCount, "num_envs", num_envs, error.allowed or "") from None
         self.closed = False
         spec = self.task_spec
         if max_episode_steps not in (None, spec.max_steps):
             self.close()
-            allowed = f"allowed is {spec.max_steps}; make single environments to shorten episodes"
+            allowed = (
+                f"allowed is {spec.max_steps}, the task's own number; gymnasium.make shortens the "
+                "episodes of single environments"
+            )
             raise refuse(InvalidOption, "max_episode_steps", max_episode_steps, allowed)
-        self._copy = copy
+        self._copy = truth(copy, "copy")
         self._reset_options = ResetOptions(spec, num_envs)
         self._latest = _Latest()
         self.num_envs = num_envs
@@ -151,7 +173,8 @@ class TrocarVectorEnv(
 
         Args:
             seed: ``s`` for the first episodes of ``s, s + 1, …``; a seed for each environment,
-                where ``None`` goes on to its next episode; or ``None`` for all of these.
+                where ``None`` goes on to its next episode; or ``None`` for all of these. Any
+                non-negative integer is a seed.
             options: ``{"reset_mask": …}`` with a truth value for each environment resets only
                 those; the observations of the others are their latest. ``goal``, ``objects`` and
                 ``tip`` are as for :meth:`TrocarEnv.reset`: one value for all environments that are
@@ -161,8 +184,8 @@ class TrocarVectorEnv(
         chosen = self._chosen(options)
         env_ids = np.flatnonzero(chosen).astype(np.uint32)
         placements = self._reset_options.placements(options, env_ids.tolist())
-        seeds = self._seeds(seed)
-        super().reset(seed=seed if isinstance(seed, int) else None)
+        whole, seeds = self._seeds(seed)
+        super().reset(seed=whole)
         self._connection.abandon()
         seeded = np.array([number is not None for number in seeds])
         numbers = np.array([number or 0 for number in seeds], np.uint64)
@@ -192,10 +215,19 @@ class TrocarVectorEnv(
     def _beginning(self, chosen: NDArray[np.bool_]) -> tuple[Observation, dict[str, Any]]:
         latest = self._latest.arrays(self._copy)
         expert = {name: np.array(latest.pop(name)) for name in EXPERT}
-        infos = _masked(chosen, **{name: latest.pop(name) for name in EPISODE})
+        nowhere = {name: np.zeros_like(chosen) for name in OUTCOME}
+        infos = _masked(chosen, **nowhere, **{name: latest.pop(name) for name in EPISODE})
         if self._connection.expert:
             infos |= _masked(chosen, **expert)
         return shown(latest), infos
+
+    def _latest_episodes(self) -> Episodes | None:
+        """Seeds and numbers of the latest episodes."""
+        try:
+            latest = self._latest.arrays(copy=False)
+        except ResetNeeded:
+            return None
+        return latest["episode_seed"], latest["episode_index"]
 
     def step(self, actions: ArrayLike) -> Step:
         """Acts in every environment; ``actions`` has shape (num_envs, action dim)."""
@@ -211,6 +243,10 @@ class TrocarVectorEnv(
             env_ids: Which, in increasing order; all if ``None``. They must not be under way.
         """
         self._connection.send(actions, self._env_ids(env_ids))
+
+    def drop_replies(self) -> None:
+        """Gives up on the replies of steps under way, which are carried out all the same."""
+        self._connection.abandon()
 
     def recv(self) -> Step:
         """Waits for the step that was started first, and returns a row for each environment of it.
@@ -266,7 +302,9 @@ class TrocarVectorEnv(
             The latest observations of all environments.
         """
         ids = None if env_ids is None else self._env_ids(env_ids)
-        sources = self._env_ids(np.atleast_1d(np.asarray(source)), "source")
+        if is_single(source):
+            source = [integer(source, "source", InvalidEnvIds, "numbers of environments")]
+        sources = self._env_ids(source, "source")
         return self._placed(ids, lambda: self._connection.fork(sources, ids))
 
     def _placed(
@@ -315,7 +353,7 @@ class TrocarVectorEnv(
     def set_attr(self, name: str, values: Any) -> None:
         """Sets the attribute ``name`` of all environments, which share it, to one value."""
         if isinstance(values, list | tuple):
-            if len(values) != self.num_envs or any(value != values[0] for value in values):
+            if len(values) != self.num_envs or not all(_same(value, values[0]) for value in values):
                 allowed = "expected one value, since the environments of a session share it"
                 raise refuse(InvalidOption, name, values, allowed)
             values = values[0]
@@ -329,16 +367,9 @@ class TrocarVectorEnv(
 
     def _transition(self, reply: _trocar.Reply) -> Step:
         """A reply as Gymnasium's five values, a row for each environment in it."""
-        next_step = self.autoreset_mode is AutoresetMode.NEXT_STEP
-        *values, infos, eventful = reply.transition(next_step, self._connection.expert, self._copy)
-        if eventful:
-            begun, failed = reply.steps() == 0, reply.fault()
-            if begun.any():
-                infos |= _masked(begun, **_episodes(reply))
-                if self.autoreset_mode is AutoresetMode.SAME_STEP:
-                    infos |= _final(reply, begun)
-            if failed.any():
-                infos |= _masked(failed, simulation_failed=failed)
+        *values, infos, began = reply.transition(self._connection.expert, self._copy)
+        if began and self.autoreset_mode is AutoresetMode.SAME_STEP:
+            infos |= _final(reply, reply.steps() == 0)
         return (*values, infos)
 
     def _chosen(self, options: dict[str, Any] | None) -> NDArray[np.bool_]:
@@ -346,32 +377,29 @@ class TrocarVectorEnv(
         mask = (options or {}).get("reset_mask")
         if mask is None:
             return np.ones(self.num_envs, np.bool_)
-        chosen = np.asarray(mask)
-        if chosen.dtype != np.bool_ or chosen.shape != (self.num_envs,) or not chosen.any():
-            allowed = f"expected a bool array of shape ({self.num_envs},) that is somewhere true"
-            raise refuse(InvalidOption, "options['reset_mask']", mask, allowed)
-        return chosen
+        return truths(mask, "options['reset_mask']", InvalidOption, self.num_envs)
 
-    def _seeds(self, seed: int | Sequence[int | None] | None) -> list[int | None]:
-        """A seed for each environment."""
+    def _seeds(self, seed: Any) -> tuple[int | None, list[int | None]]:
+        """The one number that was given, if it was one, and a seed for each environment."""
         if seed is None:
-            return [None] * self.num_envs
-        if isinstance(seed, Sequence | np.ndarray):
-            if len(seed) != self.num_envs:
-                allowed = f"expected a seed for each of {self.num_envs} environments"
-                raise refuse(InvalidRequest, "seed", seed, allowed)
-            return [None if number is None else check_seed(number) for number in seed]
-        check_seed(seed)
-        return [check_seed(seed + index) for index in range(self.num_envs)]
+            return None, [None] * self.num_envs
+        if is_single(seed):
+            check_seed(seed)
+            first = operator.index(seed)
+            return first, [check_seed(first + index) for index in range(self.num_envs)]
+        each = list(seed)
+        if len(each) != self.num_envs:
+            expected = f"an integer, or one for each of {self.num_envs} environments"
+            raise refused(InvalidRequest, "seed", seed, expected)
+        return None, [None if number is None else check_seed(number) for number in each]
 
     def _env_ids(self, env_ids: ArrayLike | None, field: str = "env_ids") -> NDArray[np.uint32]:
         if env_ids is None:
             return np.arange(self.num_envs, dtype=np.uint32)
-        array = np.asarray(env_ids)
-        in_range = array.dtype.kind in "iu" and ((array >= 0) & (array < self.num_envs)).all()
-        if array.ndim != 1 or array.size == 0 or not in_range:
-            allowed = f"allowed are one or more increasing numbers below {self.num_envs}"
-            raise refuse(InvalidEnvIds, field, env_ids, allowed)
+        expected = f"one or more increasing numbers below {self.num_envs}"
+        array = integers(env_ids, field, InvalidEnvIds, expected)
+        if array.size == 0 or not ((array >= 0) & (array < self.num_envs)).all():
+            raise refuse(InvalidEnvIds, field, env_ids, f"allowed are {expected}")
         return array.astype(np.uint32)
 
     def __getstate__(self) -> dict[str, Any]:
@@ -422,10 +450,8 @@ def _arrays(reply: _trocar.Reply, copy: bool) -> dict[str, NDArray[Any]]:
 
 
 def _episodes(reply: _trocar.Reply) -> dict[str, NDArray[Any]]:
-    """Which episodes these are; seeds are below 2**63, and Gymnasium collects integers as int64."""
-    return dict(
-        zip(EPISODE, (reply.seed().astype(np.int64), reply.episode().astype(np.int64)), strict=True)
-    )
+    """Which episodes these are."""
+    return dict(zip(EPISODE, (reply.episode_seed(), reply.episode_index()), strict=True))
 
 
 def _masked(mask: NDArray[np.bool_], **values: NDArray[Any]) -> dict[str, Any]:
@@ -446,9 +472,20 @@ def _final(reply: _trocar.Reply, ended: NDArray[np.bool_]) -> dict[str, Any]:
     return {
         "final_obs": observations,
         "_final_obs": ended.copy(),
-        "final_info": _masked(ended, is_success=reply.is_success()),
+        "final_info": _masked(
+            ended,
+            is_success=reply.is_success(),
+            simulation_failed=reply.fault(),
+            episode_seed=reply.episode_seed(),
+            episode_index=reply.episode_index() - 1,
+        ),
         "_final_info": ended.copy(),
     }
+
+
+def _same(one: Any, other: Any) -> bool:
+    """Whether two values are equal; arrays, in all of their elements."""
+    return one is other or bool(np.array_equal(one, other))
 
 
 def _autoreset_mode(mode: AutoresetMode | str) -> AutoresetMode:

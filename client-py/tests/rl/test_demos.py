@@ -9,6 +9,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
+import gymnasium as gym
 import minari
 import numpy as np
 import pyarrow.parquet as pq
@@ -92,12 +93,45 @@ def test_failures_are_dropped_unless_they_are_wanted(
     assert sum(succeeded) == some.kept
 
 
+@pytest.mark.parametrize("form", ["minari", "lerobot"])
+def test_episodes_of_large_seeds_are_recorded(form: str, tmp_path: Path, server: str) -> None:
+    told = record(
+        "NeedleReach-v0", episodes=2, out=tmp_path, seed=2**63 - 1, format=form, server=server
+    )
+    assert told.kept == 2
+
+
 def test_tasks_without_goals_are_recorded_too(
     tmp_path: Path, server: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     record("ActiveTrack-v0", episodes=2, out=tmp_path, server=server)
     dataset = loaded(tmp_path, "ActiveTrack-v0", "expert-v0", monkeypatch)
     assert dataset[0].observations.shape == (501, 10)
+
+
+@pytest.mark.filterwarnings("ignore:.*is set to None:UserWarning")
+@pytest.mark.filterwarnings("ignore:.*TemporaryDirectory:ResourceWarning")
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
+@pytest.mark.parametrize("expert", [False, True])
+def test_minaris_collector_records_infos(
+    expert: bool, tmp_path: Path, server: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It wants infos of one shape, and draws seeds of 64 bits for resets that have none."""
+    monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path))
+    env = minari.DataCollector(
+        gym.make("trocar/NeedleReach-v0", server=server, expert=expert), record_infos=True
+    )
+    env.action_space.seed(0)
+    for _ in range(8):
+        env.reset()
+        while not env.step(env.action_space.sample())[3]:
+            pass
+    dataset = env.create_dataset(f"trocar/collected-{expert}-v0")
+    env.close()
+    seeds = {int(episode.infos["episode_seed"][0]) for episode in dataset.iterate_episodes()}
+    assert len(seeds) == 8
+    for episode in dataset.iterate_episodes():
+        assert all(len(values) == 51 for values in episode.infos.values())
 
 
 class Stop(Exception):

@@ -68,8 +68,9 @@ def test_it_is_what_sb3_makes_of_single_environments(task: str, server: str) -> 
         assert (dones == expected[2]).all()
         assert ours.reset_infos == theirs.reset_infos
         for done, info, other in zip(dones, infos, expected[3], strict=True):
-            assert info["is_success"] == other["is_success"]
-            assert info.get("TimeLimit.truncated", False) == other["TimeLimit.truncated"]
+            assert info.keys() == other.keys()
+            names = ("is_success", "simulation_failed", "TimeLimit.truncated", *EPISODE)
+            assert all(info[name] == other[name] for name in names)
             assert ("terminal_observation" in info) == done
             if done:
                 assert same(info["terminal_observation"], other["terminal_observation"])
@@ -121,8 +122,6 @@ def test_episodes_count_on_from_the_seed(envs: TrocarVecEnv) -> None:
 def test_a_step_goes_on_while_the_trainer_works(envs: TrocarVecEnv) -> None:
     first = envs.reset()
     envs.step_async(actions_of(envs, 0))
-    with pytest.raises(trocar.errors.InvalidEnvIds):
-        envs.step_async(actions_of(envs, 0))
     stepped, _, _, _ = envs.step_wait()
     with pytest.raises(trocar.errors.NothingInFlight):
         envs.step_wait()
@@ -130,6 +129,62 @@ def test_a_step_goes_on_while_the_trainer_works(envs: TrocarVecEnv) -> None:
     envs.seed(5)
     assert same(envs.reset(), first)  # a step under way is dropped
     assert same(envs.step(actions_of(envs, 0))[0], stepped)
+
+
+def test_a_step_that_was_not_waited_for_can_be_followed_by_the_next(
+    envs: TrocarVecEnv, server: str
+) -> None:
+    """As after Ctrl-C, wherever between the two calls it came."""
+    other = make_vec(TASK, num_envs=3, seed=5, server=server)
+    envs.reset()
+    other.reset()
+    normalized = VecNormalize(VecMonitor(envs), norm_obs=False, norm_reward=False)
+    for step in range(STEPS + 5):
+        envs.step_async(actions_of(envs, step))
+        other.step(actions_of(envs, step))
+        got = normalized.step(actions_of(envs, step))
+        wanted = other.step(actions_of(envs, step))
+        assert same(got[0], wanted[0])
+        assert (got[2] == wanted[2]).all()
+    other.close()
+
+
+def test_a_step_that_was_interrupted_can_be_followed_by_the_next(
+    own_server: trocar.Server, interrupted: Any
+) -> None:
+    envs, other = (make_vec(TASK, 3, seed=5, server=own_server.name) for _ in range(2))
+    envs.reset()
+    other.reset()
+    for step in range(3):
+        interrupted(lambda: envs.step(actions_of(envs, 7)))
+        other.step(actions_of(envs, 7))
+        assert same(envs.step(actions_of(envs, step))[0], other.step(actions_of(envs, step))[0])
+    envs.close()
+    other.close()
+
+
+def test_infos_of_resets_and_steps_have_one_shape(server: str) -> None:
+    for expert in (False, True):
+        envs = make_vec(TASK, num_envs=2, seed=3, server=server, expert=expert)
+        envs.reset()
+        names = envs.reset_infos[0].keys()
+        assert ("expert_action" in names) == expert
+        for step in range(STEPS + 1):
+            *_, dones, infos = envs.step(actions_of(envs, step))
+            ends = {"terminal_observation"} if dones[0] else set()
+            assert infos[0].keys() == {*names, "TimeLimit.truncated", *ends}
+            assert envs.reset_infos[0].keys() == names
+        envs.close()
+
+
+def test_seeds_of_any_size(server: str) -> None:
+    envs = make_vec(TASK, num_envs=2, seed=2**63 - 1, server=server)
+    first = envs.reset()
+    assert envs.reset_infos[0]["episode_seed"] == 2**63 - 1
+    assert envs.reset_infos[1]["episode_seed"] == 2598401411181246957
+    envs.seed(2**63 - 1)
+    assert same(envs.reset(), first)
+    envs.close()
 
 
 def test_methods_of_goals_are_answered_here(envs: TrocarVecEnv) -> None:
@@ -154,8 +209,14 @@ def test_attributes_are_shared(envs: TrocarVecEnv) -> None:
     assert envs.get_attr("note", indices=[2, 0]) == ["all", "all"]
     with pytest.raises(ValueError, match="indices"):
         envs.set_attr("note", "one", indices=[1])
-    with pytest.raises(ValueError, match="below 3"):
-        envs.get_attr("note", indices=[3])
+    wrong: list[Any] = [[3], [0.5], "a", [True, False]]
+    for indices in wrong:
+        with pytest.raises(ValueError, match=r"indices = .*below 3"):
+            envs.get_attr("note", indices=indices)
+    for indices in (np.int64(1), [1], np.array([1]), (i for i in [1]), -2):
+        assert len(envs.get_attr("note", indices=indices)) == 1
+    for indices in ([0, 2], np.array([True, False, True]), range(0, 3, 2)):
+        assert len(envs.get_attr("note", indices=indices)) == 2
     assert list(envs.get_images()) == [None] * 3
 
 
@@ -245,10 +306,14 @@ def test_sb3_makes_environments_by_their_ids(server: str) -> None:
     ours.close()
 
 
-def test_sb3_finds_nothing_wrong_with_single_environments(server: str) -> None:
-    env = trocar.TrocarEnv("NeedleReach-v0", server=server)
-    check_env(env)
-    env.close()
+@pytest.mark.parametrize("task", ["NeedleReach-v0", "ActiveTrack-v0"])
+def test_sb3_finds_nothing_wrong_with_single_environments(task: str, server: str) -> None:
+    check_env(trocar.TrocarEnv(task, server=server))
+    if task == "ActiveTrack-v0":  # SB3 looks for the functions of goals at the wrapper only
+        check_env(gym.make(f"trocar/{task}", server=server))
+    envs = make_vec(f"trocar/{task}", 2, server=server)
+    assert envs.has_attr("compute_reward") == (task == "NeedleReach-v0")
+    envs.close()
 
 
 def test_sb3s_subprocesses_share_one_private_server(script: Any) -> None:

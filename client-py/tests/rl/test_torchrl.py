@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import subprocess
 import sys
+from functools import partial
 from pathlib import Path
 
 import gymnasium as gym
 import torch
 from torchrl.collectors import Collector
-from torchrl.envs import check_env_specs
+from torchrl.envs import GymEnv, SerialEnv, check_env_specs
 
 sys.path.append(str(Path(__file__).parents[2] / "examples"))
 
@@ -49,6 +51,43 @@ def test_specs_hold(server: str) -> None:
     assert state.abs().max() <= 1
     assert state.std() > 0.1
     env.close()
+
+
+def test_torchrls_own_classes_make_environments(server: str) -> None:
+    """GymEnv tries a keyword that Trocar does not have, and goes on without it."""
+    for task in (TASK, "trocar/ActiveTrack-v0"):
+        env = GymEnv(task, server=server)
+        assert env.rollout(7).batch_size == torch.Size([7])
+        env.close()
+    make = partial(GymEnv, TASK, server=server)
+    several = SerialEnv(2, make)
+    assert several.rollout(7).batch_size == torch.Size([2, 7])
+    several.close()
+
+
+def test_torchrls_processes_make_environments(server: str, tmp_path: Path) -> None:
+    """In a program of its own, whose warnings are not errors."""
+    program = tmp_path / "parallel.py"
+    program.write_text(PARALLEL)
+    done = subprocess.run(
+        [sys.executable, program, f"trocar:{TASK}", server],
+        capture_output=True,
+        text=True,
+        timeout=120,
+    )
+    assert done.stdout.split() == ["2", "7"], done.stderr
+
+
+PARALLEL = """
+import sys
+from functools import partial
+from torchrl.envs import GymEnv, ParallelEnv
+
+if __name__ == "__main__":
+    envs = ParallelEnv(2, partial(GymEnv, sys.argv[1], server=sys.argv[2]))
+    print(*envs.rollout(7).batch_size)
+    envs.close()
+"""
 
 
 def test_a_collector_goes_on_over_the_ends_of_episodes(server: str) -> None:

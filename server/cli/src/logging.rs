@@ -33,12 +33,14 @@ pub(crate) struct Logging {
 impl Logging {
     /// Starts to log; `usual` where nothing else is asked for.
     pub(crate) fn start(&self, usual: &str) -> anyhow::Result<()> {
-        let levels = match (&self.log, std::env::var(VARIABLE)) {
+        // An empty variable is none.
+        let set = std::env::var(VARIABLE).ok().filter(|levels| !levels.is_empty());
+        let levels = match (&self.log, set) {
             (Some(levels), _) => levels.clone(),
-            (None, Ok(levels)) => {
-                parse(&levels).map_err(|error| Exit::Usage(format!("{VARIABLE}: {error}")))?
-            }
-            (None, Err(_)) => usual.into(),
+            (None, Some(levels)) => parse(&levels).map_err(|error| {
+                Exit::Usage(format!("{VARIABLE} = {levels:?}: {error}; expected levels, e.g. warn"))
+            })?,
+            (None, None) => usual.into(),
         };
         let filter = EnvFilter::try_new(levels)?;
         let lines = tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr);

@@ -1,5 +1,6 @@
 //! Processes that this one starts, which never outlive the values that stand for them.
 
+use std::ffi::OsString;
 use std::io::{BufRead, BufReader, Write};
 use std::net::SocketAddr;
 use std::os::unix::process::CommandExt;
@@ -18,7 +19,12 @@ pub(crate) const PYTHON: &str = "TROCAR_PYTHON";
 
 /// The Python of Python clients.
 pub(crate) fn python() -> PathBuf {
-    std::env::var_os(PYTHON).map_or_else(|| "python3".into(), PathBuf::from)
+    set(PYTHON).map_or_else(|| "python3".into(), PathBuf::from)
+}
+
+/// The value of an environment variable; an empty one is none.
+pub(crate) fn set(variable: &str) -> Option<OsString> {
+    std::env::var_os(variable).filter(|value| !value.is_empty())
 }
 
 /// A child process; killed when dropped.

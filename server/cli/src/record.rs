@@ -10,6 +10,7 @@ use anyhow::Context;
 use clap::Args;
 use indicatif::ProgressBar;
 use trocar_client::{CallError, Client, Code};
+use trocar_proto::seed;
 use trocar_proto::snapshot::{self, Recipe};
 use trocar_server::env::recording::{EVERY, Recorder};
 use trocar_server::tasks::Registry;
@@ -108,7 +109,7 @@ impl Record {
                 out.flush()?;
                 return Ok(k);
             }
-            let seed = self.seed.wrapping_add(k.into());
+            let seed = seed::of(u128::from(self.seed) + u128::from(k));
             policy.play(&mut env, seed, |env, _| match recorder.after_step(env) {
                 Some(part) => Ok(out.write_all(&part)?),
                 None => Ok(()),

@@ -13,7 +13,7 @@ use indicatif::{ProgressBar, ProgressStyle};
 use serde::Serialize;
 use serde_json::Value;
 use trocar_client::Client;
-use trocar_proto::{Options, TaskSpec};
+use trocar_proto::{Options, TaskSpec, seed};
 use trocar_server::tasks::Registry;
 
 use crate::exit::Exit;
@@ -74,7 +74,7 @@ struct Job<'a> {
 impl Job<'_> {
     /// The seed of episode `k`.
     fn seed_of(&self, k: u32) -> u64 {
-        self.seed.wrapping_add(k.into())
+        seed::of(u128::from(self.seed) + u128::from(k))
     }
 }
 

@@ -11,6 +11,7 @@ use trocar_server::tasks::Registry;
 
 use crate::inherited;
 use crate::logging::Logging;
+use crate::process::set;
 
 /// How long a private server outlives its last client.
 const LINGER: Duration = Duration::from_secs(3);
@@ -144,8 +145,8 @@ fn failures(given: Option<PathBuf>) -> Option<PathBuf> {
         Some(folder) if folder.as_os_str() == "none" => None,
         Some(folder) => Some(folder),
         None => {
-            let state = std::env::var_os("XDG_STATE_HOME").map(PathBuf::from);
-            let home = || Some(PathBuf::from(std::env::var_os("HOME")?).join(".local/state"));
+            let state = set("XDG_STATE_HOME").map(PathBuf::from);
+            let home = || Some(PathBuf::from(set("HOME")?).join(".local/state"));
             state.or_else(home).map(|state| state.join("trocar/failures"))
         }
     }

@@ -114,6 +114,20 @@ fn exit_codes_tell_what_was_wrong() {
 }
 
 #[test]
+fn an_empty_variable_is_none_and_a_wrong_one_is_named() {
+    let with = |variable: &str, value: &str| {
+        trocar(&["clean", "--name", "cli-nobody"]).env(variable, value).output().unwrap()
+    };
+    for variable in ["TROCAR_LOG", "TROCAR_SERVER", "TROCAR_PYTHON", "TROCAR_PRIVATE_SERVER"] {
+        let output = with(variable, "");
+        assert!(output.status.success(), "{variable}: {}", stderr(&output));
+    }
+    let refused = with("TROCAR_LOG", "trocar=loud");
+    assert_eq!(refused.status.code(), Some(2));
+    assert!(stderr(&refused).contains("TROCAR_LOG = \"trocar=loud\""), "{}", stderr(&refused));
+}
+
+#[test]
 fn a_refused_option_is_named_with_what_is_allowed() {
     let refused = run(&["rollout", "--task", "NeedleReach-v0", "--reward", "shaped"]);
     let text = stderr(&refused);

@@ -43,7 +43,7 @@ impl Env {
         if self.was_reset() {
             return Ok(());
         }
-        let why = "it was never reset; reset it before its first snapshot";
+        let why = "it was never reset; reset it first";
         Err(Rejection::new(Code::ResetNeeded, "env", "no state", why))
     }
 

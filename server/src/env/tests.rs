@@ -98,6 +98,22 @@ fn an_environment_is_reset_before_and_after_each_episode() {
     assert_eq!((env.seed(), env.episode(), env.steps()), (0, 1, 0));
     env.reset(Some(9));
     assert_eq!((env.seed(), env.episode()), (9, 0));
+    env.reset_to(8, 3);
+    assert_eq!((env.seed(), env.episode(), env.steps()), (8, 3, 0));
+    env.reset(None);
+    assert_eq!((env.seed(), env.episode()), (8, 4));
+}
+
+#[test]
+fn a_large_seed_is_mixed_to_one_that_begins_the_same_episodes() {
+    let mut env = fragile();
+    let mixed = trocar_proto::seed::of(u64::MAX.into());
+    for seed in [u64::MAX, mixed] {
+        env.reset(Some(seed));
+        assert_eq!(env.seed(), mixed);
+        env.set_seed(seed);
+        assert_eq!(env.seed(), mixed);
+    }
 }
 
 #[test]

@@ -4,7 +4,7 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use trocar_proto::control::{Autoreset, SessionRequest};
-use trocar_proto::{Code, Placement, Rejection, TaskSpec};
+use trocar_proto::{Code, Placement, Rejection, TaskSpec, seed};
 
 use super::drawing;
 use super::pile::Divisible;
@@ -34,8 +34,8 @@ pub(crate) struct Batch {
 /// What a request does with each of its environments.
 #[derive(Clone, Copy)]
 pub(crate) enum Deed<'a> {
-    /// Reset; with the seeds (rows) where given, else to the next episode.
-    Reset(Option<&'a [u64]>),
+    /// Reset; to these seeds and their episodes (rows) where given, else to the next episode.
+    Reset(Option<(&'a [u64], &'a [u64])>),
     /// Step with the actions (rows, action dim).
     Step(&'a [f32]),
     /// Go on from these states (rows).
@@ -50,7 +50,7 @@ impl Batch {
         let envs: Vec<_> = (0..u64::from(request.envs))
             .map(|index| {
                 let mut env = first.clone();
-                env.set_seed(request.seed.wrapping_add(index));
+                env.set_seed(seed::of(u128::from(request.seed) + u128::from(index)));
                 env
             })
             .collect();
@@ -91,9 +91,7 @@ impl Batch {
     ) -> Result<Vec<Arc<Env>>, Rejection> {
         self.check_env_ids(env_ids)?;
         for id in env_ids {
-            self.envs[*id as usize]
-                .check_begun()
-                .map_err(|refusal| Rejection { value: id.to_string(), ..refusal })?;
+            self.check_begun(*id)?;
         }
         let mut copies = vec![None; env_ids.len()];
         turn.run(Copying { envs: &self.envs, env_ids, copies: &mut copies }, COPY);
@@ -157,10 +155,17 @@ impl Batch {
             let allowed = "one environment is drawn at a time";
             return Err(Rejection::new(Code::InvalidEnvIds, "env_ids", env_ids.len(), allowed));
         };
+        self.check_begun(*id)?;
         let env = &self.envs[*id as usize];
-        env.check_begun()?;
         turn.run(drawing::One { env: Some(env), view, rgb, depth }, PICTURE);
         Ok(())
+    }
+
+    /// An error before the first reset of an environment.
+    fn check_begun(&self, id: u32) -> Result<(), Rejection> {
+        self.envs[id as usize]
+            .check_begun()
+            .map_err(|refusal| Rejection { value: id.to_string(), ..refusal })
     }
 
     /// An environment like those of the session.
@@ -298,9 +303,11 @@ impl Divisible for Work<'_> {
         let (took, later_took) = self.took.split_at_mut(border);
         let (deed, later_deed) = match self.deed {
             Deed::Reset(None) => (Deed::Reset(None), Deed::Reset(None)),
-            Deed::Reset(Some(seeds)) => {
-                let (seeds, later) = seeds.split_at(at);
-                (Deed::Reset(Some(seeds)), Deed::Reset(Some(later)))
+            Deed::Reset(Some((seeds, episodes))) => {
+                let (seeds, later_seeds) = seeds.split_at(at);
+                let (episodes, later_episodes) = episodes.split_at(at);
+                let later = (later_seeds, later_episodes);
+                (Deed::Reset(Some((seeds, episodes))), Deed::Reset(Some(later)))
             }
             Deed::Step(actions) => {
                 let (actions, later) = actions.split_at(at * self.action_dim);
@@ -346,9 +353,12 @@ impl Divisible for Work<'_> {
             let start = self.long.map(|_| Instant::now());
             let env = &mut self.envs[(id - self.first) as usize];
             match self.deed {
-                Deed::Reset(seeds) => {
+                Deed::Reset(to) => {
                     self.witness.before_leaving(*id, env);
-                    env.reset(seeds.map(|seeds| seeds[row]));
+                    match to {
+                        Some((seeds, episodes)) => env.reset_to(seeds[row], episodes[row]),
+                        None => env.reset(None),
+                    }
                     write_transition(&mut self.rows, row, 0.0, false, false, false, 0);
                     show(env, &mut self.rows, row);
                 }

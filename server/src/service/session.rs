@@ -170,6 +170,7 @@ struct Inbox {
     env_ids: Vec<u32>,
     actions: Vec<f32>,
     numbers: Vec<u64>,
+    episodes: Vec<u64>,
 }
 
 impl Session {
@@ -225,6 +226,7 @@ impl Session {
                 env_ids: vec![0; envs],
                 actions: vec![0.0; envs * action_dim],
                 numbers: vec![0; envs],
+                episodes: vec![0; envs],
             },
             course: Course {
                 opened: Instant::now(),
@@ -390,11 +392,13 @@ impl Session {
             let allowed = format!("expected {} bytes", self.request_layout.bytes);
             return Err(malformed("payload", payload.len() as u64, allowed));
         }
-        let Inbox { env_ids, actions, numbers } = &mut self.inbox;
+        let Inbox { env_ids, actions, numbers, episodes } = &mut self.inbox;
         let layout = &self.request_layout;
-        let numbered = asked.kind > kind::STEP
-            || (asked.kind == kind::RESET && asked.flags & flag::HAS_SEEDS != 0);
-        if numbered {
+        let seeded = asked.kind == kind::RESET && asked.flags & flag::HAS_SEEDS != 0;
+        if seeded {
+            episodes[..rows].copy_from_slice(layout.episodes.view(payload, rows));
+        }
+        if seeded || asked.kind > kind::STEP {
             numbers[..rows].copy_from_slice(layout.numbers.view(payload, rows));
         }
         let numbers = &numbers[..rows];
@@ -421,7 +425,7 @@ impl Session {
                 actions[..sent.len()].copy_from_slice(sent);
                 Deed::Step(&actions[..sent.len()])
             }
-            kind::RESET => Deed::Reset(numbered.then_some(numbers)),
+            kind::RESET => Deed::Reset(seeded.then_some((numbers, &episodes[..rows]))),
             kind::SNAPSHOT => {
                 let mut room = self.shared.with_store(|store| store.make_room(rows))?;
                 let copies = self.batch.copies(env_ids, turn)?;

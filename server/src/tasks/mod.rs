@@ -264,8 +264,13 @@ impl Registry {
         view: &Options,
     ) -> Result<Imaging, Rejection> {
         let (task, world, _) = self.build(id, options)?;
-        let resolved = view.resolve(&options::of_views())?;
-        let imaging = Imaging::of(&resolved, || first_scene(task.as_ref(), &world))?;
+        let of_view = |refusal: Rejection| match refusal.field.strip_prefix("options.") {
+            Some(name) => Rejection { field: format!("view.{name}"), ..refusal },
+            None => refusal,
+        };
+        let resolved = view.resolve(&options::of_views()).map_err(of_view)?;
+        let imaging = Imaging::of(&resolved, || first_scene(task.as_ref(), &world));
+        let imaging = imaging.map_err(of_view)?;
         Ok(imaging.expect("views have colour and depth").fine())
     }
 

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import trocar
+from trocar._goal import check_seed
 from trocar.demos._episodes import Episode, load, run, save
 from trocar.errors import InvalidRequest, refuse
 from trocar.vector import TrocarVectorEnv
@@ -206,7 +207,7 @@ def _collect(
     while done < recipe.episodes:
         # Environments too many for the rest run episodes that nobody wants.
         count = min(session.num_envs, recipe.episodes - done)
-        seeds = [recipe.seed + done + row for row in range(session.num_envs)]
+        seeds = [check_seed(recipe.seed + done + row) for row in range(session.num_envs)]
         episodes = run(session, seeds)[:count]
         good = [episode for episode in episodes if recipe.keeps_failures or episode.succeeded]
         save(partial / f"{done:08}-{done + count:08}.npz", good)

@@ -34,6 +34,7 @@ def main() -> None:
     sys.stdin.readline()
 
     episodes = successes = steps = 0
+    ended = np.zeros(args.envs, np.bool_)
     latencies: list[float] = []
     start = reported = time.perf_counter()
     seconds = 0.0
@@ -43,11 +44,11 @@ def main() -> None:
         _, _, terminations, truncations, infos = envs.step(infos["expert_action"])
         now = time.perf_counter()
         latencies.append(now - sent)
+        # Where an episode ended before, the step was the reset that follows it.
+        steps += int((~ended).sum())
         ended = terminations | truncations
         episodes += int(ended.sum())
         successes += int((infos["is_success"] & ended).sum())
-        # Where the mask is false, the step was the reset that follows an episode.
-        steps += int(infos["_is_success"].sum())
         seconds = now - start
         if now - reported > INTERVAL:
             reported = now

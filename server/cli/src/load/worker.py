@@ -75,6 +75,7 @@ class Work:
             self.rounds = self.checksum = 0
             nobody = np.zeros(args.envs, np.bool_)
             self.see(observations, np.zeros(args.envs, np.float32), nobody, nobody, infos)
+            ended = nobody
             if not self.begun:
                 self.begun = True
                 self.since = time.perf_counter()
@@ -92,8 +93,9 @@ class Work:
                 observations, rewards, terminations, truncations, infos = envs.step(actions)
                 self.latencies[time.perf_counter_ns() - sent] += 1
                 self.rounds += 1
-                # Where the mask is false, the step was the reset that follows an episode.
-                self.steps += int(infos["_is_success"].sum())
+                # Where an episode ended before, the step was the reset that follows it.
+                self.steps += int((~ended).sum())
+                ended = terminations | truncations
                 self.see(observations, rewards, terminations, truncations, infos)
                 if time.perf_counter() - self.since > INTERVAL:
                     self.say()
