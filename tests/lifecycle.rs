@@ -1,7 +1,6 @@
 //! Whoever is killed or stopped, the others go on with the same bits, and nothing is left.
 
 use std::io::Write;
-use std::process::Command;
 use std::time::{Duration, Instant};
 
 use rustix::process::Signal;
@@ -257,9 +256,8 @@ impl Waiting {
     }
 }
 
-/// Eight processes that share the private server of a root process.
+/// Eight processes that share a private server.
 struct Family {
-    root: Process,
     name: String,
     members: Vec<Process>,
     _watchdog: Watchdog,
@@ -268,21 +266,18 @@ struct Family {
 impl Family {
     fn start() -> Self {
         let watchdog = Watchdog::start();
-        let root = Process::spawn(Command::new("sleep").arg("600"));
-        let identity = private::new_identity();
-        let (name, _) = identity.split_once(':').expect("an identity has two parts");
+        let name = private::unique_name();
         let mut members: Vec<Process> = (0..8)
             .map(|_| {
                 let mut command = client_command("-", "private");
-                let root = format!("{name}:{}", root.pid());
-                command.env(private::VARIABLE, root).env(private::BINARY, binary());
+                command.env(private::VARIABLE, &name).env(private::BINARY, binary());
                 Process::spawn(command.env("TROCAR_SERVER", "")) // empty, that is none
             })
             .collect();
         let said: Vec<String> = members.iter_mut().map(Process::line).collect();
-        assert!(said[0].starts_with(name), "{said:?}");
+        assert!(said[0].starts_with(&name), "{said:?}");
         assert!(said.iter().all(|line| *line == said[0]), "{said:?}");
-        Self { root, name: name.into(), members, _watchdog: watchdog }
+        Self { name, members, _watchdog: watchdog }
     }
 
     fn runs(&self) -> bool {
@@ -307,24 +302,12 @@ fn a_private_server_ends_after_its_last_client() {
     assert!(family.runs());
     family.leave();
     eventually("nothing is left", || endpoint(&family.name).remains().unwrap().is_empty());
-    assert!(family.root.poll().is_none());
-}
-
-#[test]
-fn a_private_server_ends_with_its_root_process() {
-    let mut family = Family::start();
-    let killed = Instant::now();
-    family.root.kill();
-    eventually("the server ends", || !family.runs());
-    report("root killed: private server gone", killed);
-    family.leave();
-    eventually("nothing is left", || endpoint(&family.name).remains().unwrap().is_empty());
 }
 
 #[test]
 fn a_private_server_that_was_killed_is_started_again() {
     let watchdog = Watchdog::start();
-    let server = private::PrivateServer::new(&private::new_identity(), binary()).unwrap();
+    let server = private::PrivateServer::new(&private::unique_name(), binary()).unwrap();
     let mut runs = vec![];
     for _ in 0..3 {
         let client = Client::launch(&server, "rust").unwrap();

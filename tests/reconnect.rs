@@ -155,7 +155,7 @@ fn where_no_server_comes_back_the_wait_ends_and_can_be_repeated() {
 #[test]
 fn a_private_server_is_started_again() {
     let watchdog = Watchdog::start();
-    let server = private::PrivateServer::new(&private::new_identity(), binary()).unwrap();
+    let server = private::PrivateServer::new(&private::unique_name(), binary()).unwrap();
     let client = Client::launch(&server, "rust").unwrap();
     let mut session = client.open(&request()).unwrap();
     session.want_expert(true);

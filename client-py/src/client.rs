@@ -29,11 +29,11 @@ impl Client {
         Ok(Self { client: connected.map_err(|error| error::connect(py, error))? })
     }
 
-    /// Connects to the private server of `identity`, which `binary` is started for if need be.
+    /// Connects to the private server of that name, which `binary` is started for if need be.
     #[staticmethod]
-    fn launch(py: Python<'_>, identity: String, binary: PathBuf) -> PyResult<Self> {
+    fn launch(py: Python<'_>, private: String, binary: PathBuf) -> PyResult<Self> {
         let connected = wait::interruptibly(py, move || {
-            trocar_client::Client::launch(&PrivateServer::new(&identity, &binary)?, "python")
+            trocar_client::Client::launch(&PrivateServer::new(&private, &binary)?, "python")
         })?;
         Ok(Self { client: connected.map_err(|error| error::connect(py, error))? })
     }

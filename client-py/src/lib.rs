@@ -30,16 +30,16 @@ fn _trocar(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<spec::Element>()?;
     module.add_class::<spec::ImageSpec>()?;
     module.add_class::<spec::OptionSpec>()?;
-    module.add_function(wrap_pyfunction!(new_identity, module)?)?;
+    module.add_function(wrap_pyfunction!(unique_name, module)?)?;
     module.add_function(wrap_pyfunction!(seed_of, module)?)?;
     module.add_function(wrap_pyfunction!(snapshot::split_snapshot, module)?)?;
     Ok(())
 }
 
-/// A name for a private server that nobody else has, with this process as its root.
+/// A name for a private server that no other has.
 #[pyfunction]
-fn new_identity() -> String {
-    trocar_client::private::new_identity()
+fn unique_name() -> String {
+    trocar_client::private::unique_name()
 }
 
 /// The seed of a number of any size, given by its bytes, the least significant one first.

@@ -328,6 +328,46 @@ def test_a_process_tree_shares_one_private_server_which_ends_with_it(
     eventually(lambda: left_behind(name) == [])
 
 
+USER = """
+import gymnasium as gym, time, trocar
+env = gym.make("trocar/NeedleReach-v0")
+env.reset(seed=0)
+print(trocar.status()["pid"], trocar.status()["name"], flush=True)
+end = time.monotonic() + 5
+while time.monotonic() < end:
+    if env.step(env.action_space.sample())[3]:
+        env.reset()
+print("went on", flush=True)
+"""
+
+DAEMON = """
+import os, trocar
+if os.fork(): os._exit(0)
+os.setsid()
+if os.fork(): os._exit(0)
+exec({user!r})
+"""
+
+LAUNCHER = """
+import os, subprocess, sys, trocar
+subprocess.Popen([sys.executable, "-c", {user!r}], start_new_session=True)
+os._exit(0)
+"""
+
+
+@pytest.mark.parametrize("code", [DAEMON, LAUNCHER], ids=["daemon", "launcher"])
+def test_a_private_server_outlives_the_process_that_imported_trocar_first(
+    code: str, script: Script
+) -> None:
+    process = script(code.format(user=USER))
+    assert process.wait() == 0, "the first process is gone"
+    assert process.stdout is not None
+    pid, name = process.stdout.readline().split()
+    assert process.stdout.readline().strip() == "went on"
+    eventually(lambda: not alive(int(pid)))
+    eventually(lambda: left_behind(name) == [])
+
+
 def test_a_variable_names_the_server_where_no_argument_does(server: str, script: Script) -> None:
     process = script("import trocar; print(trocar.status()['name'])", TROCAR_SERVER=server)
     assert hear(process) == server

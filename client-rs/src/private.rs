@@ -1,9 +1,8 @@
 //! The private server of a process tree.
 //!
-//! Where no server is named, all processes that descend from one root process share a server of
-//! their own. Its name and the root's process id travel in [`VARIABLE`]; whoever needs the server
-//! first starts it. It ends when its last client has been gone for a while, or with the root
-//! process, however that ended.
+//! Where no server is named, the processes of a tree share a server of their own. Its name travels in [`VARIABLE`]
+//! from parent to child; the process that needs the server first starts it. The server belongs to its clients: it
+//! runs as long as one of them lives, detached or orphaned, and ends when the last has been gone for a while.
 
 use std::ffi::OsString;
 use std::fs::{File, OpenOptions};
@@ -16,11 +15,12 @@ use std::sync::{Mutex, OnceLock, PoisonError};
 use std::time::{Duration, Instant};
 
 use rustix::fs::{FlockOperation, flock};
+use trocar_proto::Rejection;
 use trocar_proto::endpoint::{Endpoint, Membership, ServerName, ServerState};
 
 use crate::error::ConnectError;
 
-/// The environment variable that carries `<name>:<root process id>` to child processes.
+/// The environment variable that carries the server's name to child processes.
 pub const VARIABLE: &str = "TROCAR_PRIVATE_SERVER";
 
 /// The environment variable with the path of the `trocar` program.
@@ -29,11 +29,10 @@ pub const BINARY: &str = "TROCAR_BINARY";
 /// How long a starting server may take before its clients give up.
 const PATIENCE: Duration = Duration::from_secs(20);
 
-/// A private server: its name, the process whose end it follows, and the program to start.
+/// A private server: its name, and the program to start.
 #[derive(Debug, Clone)]
 pub struct PrivateServer {
     name: ServerName,
-    root: u32,
     binary: PathBuf,
 }
 
@@ -44,7 +43,7 @@ impl PrivateServer {
         static OWN: OnceLock<String> = OnceLock::new();
         let text = match set(VARIABLE) {
             Some(text) => text.to_string_lossy().into_owned(),
-            None => OWN.get_or_init(new_identity).clone(),
+            None => OWN.get_or_init(unique_name).clone(),
         };
         let beside = std::env::current_exe().ok().map(|path| path.with_file_name("trocar"));
         let binary = set(BINARY)
@@ -54,14 +53,12 @@ impl PrivateServer {
         Self::new(&text, &binary)
     }
 
-    /// The private server of `identity` (`<name>:<root process id>`), run by `binary`.
-    pub fn new(identity: &str, binary: &Path) -> Result<Self, ConnectError> {
-        let malformed = || ConnectError::Launch {
-            reason: format!("{VARIABLE} is {identity:?}; expected <name>:<process id>"),
-        };
-        let (name, root) = identity.split_once(':').ok_or_else(malformed)?;
-        let root = root.parse().map_err(|_| malformed())?;
-        Ok(Self { name: name.parse()?, root, binary: binary.into() })
+    /// The private server of that name, run by `binary`.
+    pub fn new(name: &str, binary: &Path) -> Result<Self, ConnectError> {
+        let name = name.parse().map_err(|refusal: Rejection| ConnectError::Launch {
+            reason: format!("{VARIABLE} = {name:?}: {}", refusal.allowed),
+        })?;
+        Ok(Self { name, binary: binary.into() })
     }
 
     /// Where it is found.
@@ -92,8 +89,7 @@ impl PrivateServer {
         let log =
             options.truncate(true).open(&log_path).map_err(|error| failed("server.log", &error))?;
         let mut child = Command::new(&self.binary)
-            .args(["serve", "--name", self.name.as_str()])
-            .args(["--private", &self.root.to_string()])
+            .args(["serve", "--private", self.name.as_str()])
             .stdin(Stdio::null())
             .stdout(Stdio::null())
             .stderr(log)
@@ -139,8 +135,8 @@ fn keep(server: Child) {
     started.push(server);
 }
 
-/// A name that nobody else has, and this process as the root: `<name>:<process id>`.
-pub fn new_identity() -> String {
+/// A name for a private server that no other has.
+pub fn unique_name() -> String {
     let mut bytes = [0; 6];
     let filled = File::open("/dev/urandom").and_then(|mut file| file.read_exact(&mut bytes));
     let unique = match filled {
@@ -148,6 +144,5 @@ pub fn new_identity() -> String {
         // Time and process id are unique on one machine.
         Err(_) => std::time::UNIX_EPOCH.elapsed().map_or(0, |time| time.as_micros() as u64),
     };
-    let pid = std::process::id();
-    format!("private-{:012x}:{pid}", unique & 0xffff_ffff_ffff)
+    format!("private-{:012x}", unique & 0xffff_ffff_ffff)
 }

@@ -64,7 +64,7 @@ def connect(server: str | None = None) -> _trocar.Client:
     if not isinstance(server, str | None):
         raise refused(InvalidOption, "server", server, "the name of a server, or None")
     name = server if server is not None else os.environ.get(SERVER) or None
-    key = f"name {name}" if name is not None else f"private {_private_identity()}"
+    key = f"name {name}" if name is not None else f"private {_private_name()}"
     with _lock:
         client = _clients.get(key)
         if client is None:
@@ -75,7 +75,7 @@ def connect(server: str | None = None) -> _trocar.Client:
                     field = "server" if server is not None else f"${SERVER}"
                     raise refuse(InvalidOption, field, name, error.allowed or "") from None
             else:
-                client = _trocar.Client.launch(_private_identity(), binary())
+                client = _trocar.Client.launch(_private_name(), binary())
             _clients[key] = client
         return client
 
@@ -92,23 +92,12 @@ def _forget(client: _trocar.Client) -> None:
             del _clients[key]
 
 
-def _private_identity() -> str:
+def _private_name() -> str:
     """What the private server of this process tree is called; child processes inherit it."""
-    identity = os.environ.get(_trocar.PRIVATE_SERVER)
-    if not identity:
-        identity = os.environ[_trocar.PRIVATE_SERVER] = _trocar.new_identity()
-    return identity
-
-
-def _outlived(identity: str) -> bool:
-    """Whether the process whose end that private server follows has ended already."""
-    try:
-        os.kill(int(identity.rpartition(":")[2]), 0)
-    except ProcessLookupError:
-        return True
-    except (OSError, ValueError):
-        return False
-    return False
+    name = os.environ.get(_trocar.PRIVATE_SERVER)
+    if not name:
+        name = os.environ[_trocar.PRIVATE_SERVER] = _trocar.unique_name()
+    return name
 
 
 class Connection:
@@ -395,9 +384,6 @@ def _after_fork_in_child() -> None:
 
 os.register_at_fork(after_in_child=_after_fork_in_child)
 
-# Now, so that whatever processes this one starts agree on the server. A name inherited from a
-# process that has ended would lead to a server that ends at once.
+# Now, so that the processes that this one starts agree on the server.
 if not os.environ.get(SERVER):
-    if _outlived(os.environ.get(_trocar.PRIVATE_SERVER, "")):
-        del os.environ[_trocar.PRIVATE_SERVER]
-    _private_identity()
+    _private_name()

@@ -24,9 +24,9 @@ __all__ = [
     "Snapshot",
     "TaskSpec",
     "__version__",
-    "new_identity",
     "seed_of",
     "split_snapshot",
+    "unique_name",
 ]
 
 __version__: str
@@ -34,8 +34,8 @@ PRIVATE_SERVER: str
 BINARY: str
 STAGES: tuple[str, ...]
 
-def new_identity() -> str:
-    """A name for a private server that nobody else has, with this process as its root."""
+def unique_name() -> str:
+    """A name for a private server that no other has."""
 
 def seed_of(number: bytes) -> int:
     """The seed of a number of any size, given by its bytes, the least significant one first."""
@@ -51,7 +51,7 @@ class Client:
     def connect(name: str) -> Client:
         """Connects to the running server of that name."""
     @staticmethod
-    def launch(identity: str, binary: str | os.PathLike[str]) -> Client:
+    def launch(private: str, binary: str | os.PathLike[str]) -> Client:
         """Connects to a private server, which ``binary`` is started for if need be."""
     @property
     def name(self) -> str:

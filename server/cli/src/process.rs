@@ -135,8 +135,8 @@ impl OwnServer {
     pub(crate) fn start(name: &ServerName, arguments: &[&str]) -> anyhow::Result<Self> {
         let mut command = Command::new(std::env::current_exe()?);
         // Private: should this process be killed, the server ends by itself.
-        command.args(["serve", "--name", name.as_str(), "--private"]);
-        command.arg(std::process::id().to_string()).args(arguments).env("TROCAR_LOG", "error");
+        command.args(["serve", "--private", name.as_str()]);
+        command.args(arguments).env("TROCAR_LOG", "error");
         let mut process = Process::start("server", command)?;
         let start = Instant::now();
         let client = loop {

@@ -86,9 +86,9 @@ pub(crate) struct Serve {
     /// End with the process of this id, however it ends
     #[arg(long, value_name = "PID")]
     follow: Option<u32>,
-    /// As --follow, and end a few seconds after the last client
-    #[arg(long, value_name = "PID", hide = true)]
-    private: Option<u32>,
+    /// As --name, and end a few seconds after the last client
+    #[arg(long, value_name = "NAME", hide = true, conflicts_with = "name")]
+    private: Option<ServerName>,
 }
 
 impl Serve {
@@ -99,7 +99,8 @@ impl Serve {
 
     pub(crate) fn run(self) -> anyhow::Result<()> {
         inherited::close_shared_memory();
-        let defaults = ServerConfig::new(self.name.clone());
+        let linger = self.private.as_ref().map(|_| LINGER);
+        let defaults = ServerConfig::new(self.private.unwrap_or(self.name));
         let all = Quota::default();
         let config = ServerConfig {
             threads: self
@@ -120,8 +121,8 @@ impl Serve {
             metrics: self.metrics,
             failures: failures(self.failures),
             view: self.view,
-            follow: self.private.or(self.follow),
-            linger: self.private.map(|_| LINGER),
+            follow: self.follow,
+            linger,
             ..defaults
         };
         let stop = StopSignal::default();
