@@ -25,6 +25,8 @@ fn main() -> Result<()> {
         "open" => open_for_ever(server),
         "churn" => churn(server),
         "fill" => fill(server),
+        "fill-late" => fill_after_opening(server),
+        "greedy" => open_without_end(server),
         "step" => step_for_ever(server),
         "hold" => hold_replies(server),
         "in-flight" => leave_in_flight(server),
@@ -74,12 +76,7 @@ fn churn(server: &str) -> Result<()> {
 
 /// Opens sessions until one is refused, prints why, and lets all of them use what they were given.
 fn fill(server: &str) -> Result<()> {
-    let client = loop {
-        match Client::connect(server) {
-            Err(ConnectError::NoServer { .. }) => std::thread::sleep(Duration::from_millis(5)),
-            other => break other?,
-        }
-    };
+    let client = connect_when_there(server)?;
     let mut sessions = vec![];
     let refusal = loop {
         match client.open(&SessionRequest::new("NeedleReach-v0").envs(256)) {
@@ -98,6 +95,57 @@ fn fill(server: &str) -> Result<()> {
         }
     }
     say("all stepped")
+}
+
+/// Opens sessions until one is refused, prints why, and keeps them.
+fn open_without_end(server: &str) -> Result<()> {
+    let client = Client::connect(server)?;
+    let mut sessions = vec![];
+    let refusal = loop {
+        match client.open(&SessionRequest::new("EcmReach-v0")) {
+            Ok(session) => sessions.push(session),
+            Err(CallError::Refused(refusal)) => break refusal,
+            Err(error) => bail!(error),
+        }
+    };
+    say(&refusal.to_string())?;
+    await_end_of_input()
+}
+
+/// Opens two sessions, steps one of them, fills `/dev/shm` to the last page, and steps both; then says why another
+/// session is refused and, once there is room, opens it.
+fn fill_after_opening(server: &str) -> Result<()> {
+    let client = connect_when_there(server)?;
+    let request = SessionRequest::new("NeedleReach-v0").envs(8);
+    let (mut used, mut fresh) = (client.open(&request)?, client.open(&request)?);
+    let actions = vec![0.5; used.envs() * used.spec().action_dim()];
+    used.reset()?;
+    used.step(&actions)?;
+    let mut filler = std::fs::File::create("/dev/shm/filler")?;
+    while filler.write(&[0; 4096]).is_ok() {}
+    for session in [&mut used, &mut fresh] {
+        session.reset()?;
+        session.step(&actions)?;
+    }
+    say("stepped")?;
+    let refused = client.open(&request).err().map(|error| error.to_string());
+    say(&refused.unwrap_or_default())?;
+    let refused = Client::connect(server).err().map(|error| error.to_string());
+    say(&refused.unwrap_or_default())?;
+    drop(filler);
+    std::fs::remove_file("/dev/shm/filler")?;
+    client.open(&request)?.reset()?;
+    say("opened")
+}
+
+/// Connects to a server that may be starting.
+fn connect_when_there(server: &str) -> Result<Client> {
+    loop {
+        match Client::connect(server) {
+            Err(ConnectError::NoServer { .. }) => std::thread::sleep(Duration::from_millis(5)),
+            other => return Ok(other?),
+        }
+    }
 }
 
 /// Steps without a pause.

@@ -79,6 +79,11 @@ impl Server {
     pub(crate) fn process(&mut self) -> &mut Process {
         &mut self.child
     }
+
+    /// Number of its open files.
+    pub(crate) fn open_files(&self) -> usize {
+        self.child.open_files()
+    }
 }
 
 impl Drop for Server {
@@ -87,7 +92,10 @@ impl Drop for Server {
             self.child.signal(Signal::TERM);
         }
         if std::thread::panicking() {
-            // The report is out; what can be removed is, if only for the next look.
+            // The report is out; what can be removed is, if only for the next look. A stopped server hears only this.
+            if self.child.poll().is_none() {
+                self.child.signal(Signal::KILL);
+            }
             drop(self.child.child.wait());
             self.endpoint().remove_if_unused().ok();
             return;

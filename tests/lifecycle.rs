@@ -324,19 +324,21 @@ fn a_private_server_that_was_killed_is_started_again() {
 
 #[test]
 fn opening_and_closing_many_sessions_uses_nothing_up() {
-    let mut server = Server::start();
+    let server = Server::start();
     let mut churn = client(server.name(), "churn");
     let folder = server.endpoint().folder().to_path_buf();
-    let mut count = |churn: &mut Process| {
-        let own: usize = churn.line().parse().expect("the number of open files");
+    let own =
+        |churn: &mut Process| churn.line().parse::<usize>().expect("the number of open files");
+    let held = || {
         let remains = server.endpoint().remains().unwrap().len();
         let entries = count_files(&folder.join("nodes")) + count_files(&folder.join("services"));
-        (own, server.process().open_files(), remains, entries)
+        (server.open_files(), remains, entries)
     };
-    let first = count(&mut churn);
+    let (first, before) = (own(&mut churn), held());
     churn.input().write_all(b"again\n").unwrap();
-    let second = count(&mut churn);
-    assert_eq!(first, second, "open files (client, server), shared memory, bookkeeping");
+    assert_eq!(own(&mut churn), first, "open files of the client");
+    // For moments the server has files open, to look who is alive.
+    eventually("the server has as much as before", || held() == before);
 }
 
 #[test]

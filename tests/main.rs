@@ -35,6 +35,7 @@ mod parity;
 mod placement;
 mod reconnect;
 mod refusals;
+mod resources;
 mod rows;
 mod snapshots;
 mod twin;

@@ -22,7 +22,7 @@ fn apart(command: &Command) -> Option<Command> {
     Some(apart)
 }
 
-fn unshare() -> Option<Command> {
+pub(crate) fn unshare() -> Option<Command> {
     let arguments = ["--pid", "--fork", "--mount-proc", "--kill-child"];
     // Without being root, a namespace of users that maps this one to itself.
     for more in [&[][..], &["--user", "--map-current-user"]] {
@@ -114,7 +114,7 @@ fn a_server_in_another_namespace_serves_and_is_missed() {
 fn sessions_that_shared_memory_cannot_hold_are_refused() {
     let _watchdog = crate::harness::Watchdog::start();
     let name = unique_name();
-    let script = "mount -t tmpfs -o size=24m tmpfs /dev/shm || exit 1; \
+    let script = "mount -t tmpfs -o size=8m tmpfs /dev/shm || exit 1; \
                   \"$0\" serve --name \"$2\" & exec \"$1\" fill \"$2\"";
     let Some(mut command) = unshare() else { return };
     let program = crate::harness::binary().as_os_str();

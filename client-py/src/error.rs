@@ -34,6 +34,7 @@ pub(crate) fn call(py: Python<'_>, error: CallError) -> PyErr {
     let class = match error {
         CallError::Refused(refusal) => return rejection(py, &refusal),
         CallError::ServerLost { .. } => "ServerLost",
+        CallError::Timeout { .. } => "CallTimeout",
         CallError::Forked { .. } => "ForkedError",
         CallError::NothingInFlight => "NothingInFlight",
         CallError::TooManyInFlight => "TooManyInFlight",

@@ -72,5 +72,5 @@ def test_a_program_that_is_none_is_named(tmp_path: Path) -> None:
         env={**os.environ, "TROCAR_BINARY": str(tmp_path)},
     )
     assert done.returncode == 1
-    assert f"{tmp_path}: Permission denied" in done.stderr
+    assert str(tmp_path) in done.stderr
     assert "$TROCAR_BINARY" in done.stderr

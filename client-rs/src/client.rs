@@ -8,6 +8,7 @@ use trocar_proto::control::{
     ClientInfo, ControlReply, ControlRequest, ServerInfo, ServerStatus, SessionRequest,
 };
 use trocar_proto::endpoint::{Endpoint, Membership, ServerName, ServerState};
+use trocar_proto::open_files::{OpenFiles, SESSION_FILES};
 use trocar_proto::spec::Options;
 use trocar_proto::wire::Header;
 use trocar_proto::{PROTOCOL_VERSION, TaskSpec};
@@ -161,6 +162,7 @@ impl Client {
 
     /// Opens a session: one task, N environments, one seed, its options.
     pub fn open(&self, request: &SessionRequest) -> Result<Session, CallError> {
+        OpenFiles::now().check("a session", SESSION_FILES).map_err(CallError::Transport)?;
         let open =
             ControlRequest::OpenSession { request: request.clone(), client: self.info.clone() };
         match self.call(&open)? {
@@ -216,7 +218,7 @@ impl Client {
     /// Sends arbitrary bytes as a control message, for tests of the server's defences.
     #[doc(hidden)]
     pub fn send_raw(&self, header: Header, bytes: &[u8]) -> Result<ControlReply, CallError> {
-        self.link.get()?.call_raw(header, bytes)
+        self.link.get()?.call_raw(header, bytes, "raw bytes")
     }
 
     pub(crate) fn link(&self) -> &Arc<Owned<Link>> {

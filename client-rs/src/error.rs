@@ -61,6 +61,16 @@ pub enum CallError {
         /// Whether it ended in order.
         closed: bool,
     },
+    /// The server lives and does not answer: it is stopped, starved, or waits itself.
+    #[error("server {name:?} did not answer within {seconds} s: {what}")]
+    Timeout {
+        /// Its name.
+        name: String,
+        /// What was waited for.
+        what: String,
+        /// How long, s.
+        seconds: f64,
+    },
     /// This process was forked after the session was opened; it must open its own.
     #[error("this session belongs to process {owner}; a forked process must open its own")]
     Forked {

@@ -6,7 +6,7 @@
 
 use std::ffi::OsString;
 use std::fs::{File, OpenOptions};
-use std::io::Read;
+use std::io::{self, Read};
 use std::os::unix::fs::OpenOptionsExt;
 use std::os::unix::process::CommandExt;
 use std::path::{Path, PathBuf};
@@ -14,7 +14,7 @@ use std::process::{Child, Command, Stdio};
 use std::sync::{Mutex, OnceLock, PoisonError};
 use std::time::{Duration, Instant};
 
-use rustix::fs::{FlockOperation, flock};
+use rustix::fs::{FallocateFlags, FlockOperation, fallocate, flock};
 use trocar_proto::Rejection;
 use trocar_proto::endpoint::{Endpoint, Membership, ServerName, ServerState};
 
@@ -25,6 +25,9 @@ pub const VARIABLE: &str = "TROCAR_PRIVATE_SERVER";
 
 /// The environment variable with the path of the `trocar` program.
 pub const BINARY: &str = "TROCAR_BINARY";
+
+/// Room that its log has for certain, bytes.
+const LOG_BYTES: u64 = 16 << 10;
 
 /// How long a starting server may take before its clients give up.
 const PATIENCE: Duration = Duration::from_secs(20);
@@ -79,8 +82,15 @@ impl PrivateServer {
             .truncate(false)
             .open(folder.join("launch.lock"))
             .map_err(|error| failed("launch.lock", &error))?;
-        flock(&turn, FlockOperation::LockExclusive)
-            .map_err(|error| failed("launch.lock", &error))?;
+        let waited = Instant::now();
+        while flock(&turn, FlockOperation::NonBlockingLockExclusive).is_err() {
+            if waited.elapsed() > PATIENCE {
+                let seconds = PATIENCE.as_secs();
+                let reason = format!("another process has been starting it for {seconds} s");
+                return Err(failed("launch.lock", &reason));
+            }
+            std::thread::sleep(Duration::from_millis(2));
+        }
         let runs = || matches!(membership.endpoint().server_state(), ServerState::Running { .. });
         if runs() {
             return Ok(());
@@ -88,6 +98,9 @@ impl PrivateServer {
         let log_path = folder.join("server.log");
         let log =
             options.truncate(true).open(&log_path).map_err(|error| failed("server.log", &error))?;
+        // What it says when it cannot start must have room, whatever fills shared memory.
+        fallocate(&log, FallocateFlags::KEEP_SIZE, 0, LOG_BYTES)
+            .map_err(|error| failed("server.log in /dev/shm", &io::Error::from(error)))?;
         let mut child = Command::new(&self.binary)
             .args(["serve", "--private", self.name.as_str()])
             .stdin(Stdio::null())

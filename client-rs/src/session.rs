@@ -66,7 +66,11 @@ impl Session {
         let reply_layout = Arc::new(ReplyLayout::new(envs, &info.spec));
         let picture_layout = info.view.as_ref().map(|view| Arc::new(PictureLayout::new(view)));
         let link = Arc::clone(client.link());
-        let port = Owned::new(DataPort::open(link, &info, request_layout.bytes)?);
+        let port = DataPort::open(link, &info, request_layout.bytes).inspect_err(|_| {
+            let (session, node) = (info.session, client.link().node_id());
+            client.link().call(&ControlRequest::CloseSession { session, node }).ok();
+        })?;
+        let port = Owned::new(port);
         let info = Arc::new(info);
         let in_flight = VecDeque::with_capacity(MAX_IN_FLIGHT);
         Ok(Self {
@@ -406,8 +410,8 @@ impl Session {
         let raw = match port.receive(&mut oldest.pending, patience) {
             Ok(Some(raw)) => raw,
             Ok(None) => return Ok(None),
-            // It is still to be had, once others were dropped.
-            Err(CallError::TooManyHeld) => return Err(CallError::TooManyHeld),
+            // It is still to be had, once others were dropped, or the server goes on.
+            Err(error @ (CallError::TooManyHeld | CallError::Timeout { .. })) => return Err(error),
             Err(error) => {
                 self.in_flight.clear();
                 self.ended = true;

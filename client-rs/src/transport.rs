@@ -1,5 +1,6 @@
 //! The only file of the client that knows the transport.
 
+use std::ops::Deref;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
@@ -7,15 +8,19 @@ use iceoryx2::pending_response::PendingResponse;
 use iceoryx2::port::ReceiveError;
 use iceoryx2::port::client::Client as ClientPort;
 use iceoryx2::port::notifier::Notifier;
-use iceoryx2::prelude::{Alignment, EventId, ServiceName};
+use iceoryx2::prelude::{BackpressureStrategy, EventId, PortFactory, ServiceName};
 use iceoryx2::response::Response;
+use iceoryx2::service::port_factory::client::ClientCreateError;
 use trocar_proto::bell::Bells;
 use trocar_proto::control::{self, ControlReply, ControlRequest, MAX_MESSAGE, SessionInfo};
 use trocar_proto::door::Door;
-use trocar_proto::endpoint::{self, Membership, Node, ServerState, Transport};
+use trocar_proto::endpoint::{
+    self, CLIENT_BYTES, Endpoint, Membership, Node, ServerState, Transport,
+};
+use trocar_proto::open_files::{CLIENT_FILES, OpenFiles};
 use trocar_proto::sleep::Woken;
 use trocar_proto::vigil::Vigil;
-use trocar_proto::wire::{ALIGNMENT, Header};
+use trocar_proto::wire::{Header, MAX_HELD_REPLIES};
 use trocar_proto::{Code, Rejection};
 
 use crate::error::CallError;
@@ -25,11 +30,46 @@ pub(crate) use crate::owned::Owned;
 pub(crate) const SLICE: Duration = Duration::from_millis(100);
 const LONGEST_SLICE: Duration = Duration::from_millis(400);
 
+/// Control requests that there is room for: one that is written, one that the server may still look at.
+const CONTROL_REQUESTS: usize = 2;
+
 /// How long control replies are polled for without sleeping.
 const BRISK: Duration = Duration::from_micros(200);
 
+/// How long a server may stand still while somebody waits for it.
+const STILL: Duration = Duration::from_secs(7);
+
+/// How long a wait for it may be interrupted: what passes between two waits is nobody's patience.
+const PAUSE: Duration = Duration::from_secs(1);
+
+/// How long a control request may take; one that opens a session may have to prepare where its episodes begin.
+const LIMIT: Duration = Duration::from_secs(8);
+const OPENING_LIMIT: Duration = Duration::from_mins(10);
+
+/// The pulse of a server, as those who wait for it see it.
+#[derive(Debug)]
+struct Pulse {
+    count: u32,
+    /// Since when it has been that, under continued watch.
+    since: Instant,
+    looked: Instant,
+}
+
 /// A reply in shared memory; it stays there until this is dropped.
-pub(crate) type RawReply = Response<Transport, [u8], Header>;
+#[derive(Debug)]
+pub(crate) struct RawReply {
+    response: Response<Transport, [u8], Header>,
+    /// One of those that its session has handed out.
+    _held: Arc<()>,
+}
+
+impl Deref for RawReply {
+    type Target = Response<Transport, [u8], Header>;
+
+    fn deref(&self) -> &Self::Target {
+        &self.response
+    }
+}
 
 type PendingRequest = PendingResponse<Transport, [u8], Header, [u8], Header>;
 
@@ -56,6 +96,7 @@ pub(crate) struct Link {
     control: Mutex<Port>,
     bell: Notifier<Transport>,
     door: Door,
+    pulse: Mutex<Pulse>,
     node: Node,
     membership: Membership,
     epoch: u64,
@@ -64,6 +105,9 @@ pub(crate) struct Link {
 impl Link {
     /// Opens the control port of the run `epoch` of the server.
     pub(crate) fn open(membership: Membership, epoch: u64) -> Result<Self, CallError> {
+        let shared_memory = |error: std::io::Error| CallError::Transport(error.to_string());
+        Endpoint::check_free("a client", CLIENT_BYTES).map_err(shared_memory)?;
+        OpenFiles::now().check("a client", CLIENT_FILES).map_err(CallError::Transport)?;
         let node = membership.node().map_err(transport("node"))?;
         let name = service_name(&endpoint::control_service(epoch));
         let service = node
@@ -76,13 +120,26 @@ impl Link {
         let control = service
             .client_builder()
             .initial_max_slice_len(MAX_MESSAGE)
+            .override_request_preallocation(|_| CONTROL_REQUESTS)
+            // Else a server that does not take an earlier request would be waited for without end.
+            .backpressure_strategy(BackpressureStrategy::DiscardData)
             .create()
-            .map_err(transport("control port"))?;
+            .map_err(|error| match error {
+                ClientCreateError::ExceedsMaxSupportedClients => {
+                    let most = service.dynamic_config().number_of_clients();
+                    let why = "the server takes no more; close some, or raise its limit of open files (ulimit -n)";
+                    Rejection::new(Code::TooManySessions, "clients", most + 1, why).into()
+                }
+                error => transport("control port")(error),
+            })?;
         let event =
             node.service_builder(&name).event().open().map_err(transport("control bell"))?;
         let bell = event.notifier_builder().create().map_err(transport("control bell port"))?;
         let door = Door::open(membership.endpoint(), epoch).map_err(transport("door"))?;
-        Ok(Self { control: Mutex::new(control), bell, door, node, membership, epoch })
+        membership.endpoint().allocate("a client").map_err(shared_memory)?;
+        let now = Instant::now();
+        let pulse = Mutex::new(Pulse { count: door.pulse(), since: now, looked: now });
+        Ok(Self { control: Mutex::new(control), bell, door, pulse, node, membership, epoch })
     }
 
     /// The number that names this participant to the server.
@@ -113,12 +170,31 @@ impl Link {
         Err(CallError::ServerLost { name: endpoint.name().to_string(), closed })
     }
 
+    /// An error if the server has stood still while `what` was waited for.
+    fn check_pulse(&self, what: &str) -> Result<(), CallError> {
+        let (count, now) = (self.door.pulse(), Instant::now());
+        let mut pulse = self.pulse.lock().unwrap_or_else(PoisonError::into_inner);
+        if pulse.count != count || now - pulse.looked > PAUSE {
+            (pulse.count, pulse.since) = (count, now);
+        }
+        pulse.looked = now;
+        if now - pulse.since < STILL {
+            return Ok(());
+        }
+        Err(self.timeout(format!("{what}; it is stopped or gets no processor"), STILL))
+    }
+
+    fn timeout(&self, what: String, waited: Duration) -> CallError {
+        let name = self.membership.endpoint().name().to_string();
+        CallError::Timeout { name, what, seconds: waited.as_secs_f64() }
+    }
+
     /// Sends one control request and waits for its reply; a refusal is an error.
     pub(crate) fn call(&self, request: &ControlRequest) -> Result<ControlReply, CallError> {
         let mut bytes = vec![0; MAX_MESSAGE];
         let length = control::encode(request, &mut bytes)?;
         let header = Header { length: length as u32, ..Header::new(request.kind()) };
-        let reply = self.call_raw(header, &bytes[..length])?;
+        let reply = self.call_raw(header, &bytes[..length], request.purpose())?;
         match reply {
             ControlReply::Refused(refusal) => Err(refusal.into()),
             reply => Ok(reply),
@@ -126,7 +202,12 @@ impl Link {
     }
 
     /// Sends any header and bytes as a control request; the tests send broken ones.
-    pub(crate) fn call_raw(&self, header: Header, bytes: &[u8]) -> Result<ControlReply, CallError> {
+    pub(crate) fn call_raw(
+        &self,
+        header: Header,
+        bytes: &[u8],
+        purpose: &str,
+    ) -> Result<ControlReply, CallError> {
         // A server that is gone takes no requests, and sending them would come to wait for ever.
         self.check_server()?;
         let control = self.control.lock().unwrap_or_else(PoisonError::into_inner);
@@ -137,7 +218,9 @@ impl Link {
         let pending = request.send().map_err(transport("control request"))?;
         if pending.number_of_server_connections() == 0 {
             self.check_server()?;
-            return Err(CallError::Transport("the server is not there yet".into()));
+            return Err(CallError::Transport(
+                "the server is not there yet, or has not taken an earlier request".into(),
+            ));
         }
         ring(&self.bell)?;
         let start = Instant::now();
@@ -155,6 +238,12 @@ impl Link {
             }
             if checked.elapsed() > SLICE {
                 self.check_answers()?;
+                self.check_pulse(purpose)?;
+                let is_opening = header.kind == ControlRequest::OPEN_SESSION;
+                let limit = if is_opening { OPENING_LIMIT } else { LIMIT };
+                if start.elapsed() > limit {
+                    return Err(self.timeout(purpose.into(), limit));
+                }
                 checked = Instant::now();
             }
             if start.elapsed() < BRISK {
@@ -172,6 +261,8 @@ pub(crate) struct DataPort {
     port: Port,
     seat: u32,
     bells: Bells,
+    /// Has a clone in each reply that is held on to.
+    held: Arc<()>,
     vigil: Vigil,
     /// Somebody had to be woken up for the latest request.
     slept: bool,
@@ -186,7 +277,6 @@ impl DataPort {
         info: &SessionInfo,
         request_bytes: usize,
     ) -> Result<Self, CallError> {
-        let alignment = Alignment::new(ALIGNMENT).expect("a power of two");
         let (epoch, session) = (info.epoch, info.session);
         let service = link
             .node
@@ -194,19 +284,32 @@ impl DataPort {
             .request_response::<[u8], [u8]>()
             .request_user_header::<Header>()
             .response_user_header::<Header>()
-            .request_payload_alignment(alignment)
-            .response_payload_alignment(alignment)
             .open()
             .map_err(transport("data service"))?;
         let port = service
             .client_builder()
             .initial_max_slice_len(request_bytes)
+            .backpressure_strategy(BackpressureStrategy::DiscardData)
             .create()
             .map_err(transport("data port"))?;
-        let bells = Bells::open(link.membership.endpoint(), epoch, session);
-        let bells = bells.map_err(transport("session bells"))?;
+        let endpoint = link.membership.endpoint();
+        let bells = Bells::open(endpoint, epoch, session).map_err(transport("session bells"))?;
+        endpoint
+            .allocate("the session")
+            .map_err(|error| CallError::Transport(error.to_string()))?;
         let vigil = Vigil::new();
-        Ok(Self { port, seat: info.seat, bells, vigil, slept: false, request_bytes, session, link })
+        let held = Arc::new(());
+        Ok(Self {
+            port,
+            seat: info.seat,
+            bells,
+            held,
+            vigil,
+            slept: false,
+            request_bytes,
+            session,
+            link,
+        })
     }
 
     /// Sends a request whose payload `fill` writes.
@@ -255,6 +358,7 @@ impl DataPort {
                 Woken::Rung => {}
                 Woken::Late => {
                     self.link.check_answers()?;
+                    self.link.check_pulse("the reply to a step, reset or snapshot")?;
                     slice = (2 * slice).min(LONGEST_SLICE);
                     late = true;
                 }
@@ -267,10 +371,15 @@ impl DataPort {
     /// The reply to `request`, if it is there; an error if it will never be.
     fn look(&self, request: &PendingRequest) -> Result<Option<RawReply>, CallError> {
         // Asked before the reply is looked for: a server answers, and then lets go.
-        let held = request.number_of_server_connections() > 0 && request.is_connected();
+        let connected = request.number_of_server_connections() > 0 && request.is_connected();
+        if Arc::strong_count(&self.held) > MAX_HELD_REPLIES && request.has_response() {
+            return Err(CallError::TooManyHeld);
+        }
         match request.receive() {
-            Ok(None) if !held => Err(self.why_unanswered()),
-            Ok(reply) => Ok(reply),
+            Ok(None) if !connected => Err(self.why_unanswered()),
+            Ok(response) => {
+                Ok(response.map(|response| RawReply { response, _held: Arc::clone(&self.held) }))
+            }
             Err(ReceiveError::ExceedsMaxBorrows) => Err(CallError::TooManyHeld),
             Err(error) => Err(transport("reply")(error)),
         }

@@ -101,13 +101,36 @@ pub enum ControlRequest {
 }
 
 impl ControlRequest {
+    /// What its client waits for, in words.
+    pub fn purpose(&self) -> &'static str {
+        match self {
+            Self::Hello(_) => "the connection",
+            Self::ListTasks => "the list of tasks",
+            Self::DescribeTask { .. } => "the description of a task",
+            Self::OpenSession { .. } => "the opening of a session",
+            Self::CloseSession { .. } => "the closing of a session",
+            Self::Status => "the status",
+            Self::Shutdown => "the end of the server",
+            Self::DropSnapshots { .. } => "the dropping of snapshots",
+            Self::ExportSnapshot { .. } => "a snapshot's bytes",
+            Self::ImportSnapshot { .. } => "a snapshot brought into a session",
+            Self::Record { .. } => "the beginning of a recording",
+            Self::Recorded { .. } => "what was recorded",
+            Self::Viewer => "the viewer's address",
+            Self::ImportPlacement { .. } => "a placement brought into a session",
+        }
+    }
+
+    /// The kind of [`Self::OpenSession`].
+    pub const OPEN_SESSION: u32 = 4;
+
     /// The number in [`crate::wire::Header::kind`]. Reserved for later: 32 to 47 dVRK arm sessions.
     pub fn kind(&self) -> u32 {
         match self {
             Self::Hello(_) => 1,
             Self::ListTasks => 2,
             Self::DescribeTask { .. } => 3,
-            Self::OpenSession { .. } => 4,
+            Self::OpenSession { .. } => Self::OPEN_SESSION,
             Self::CloseSession { .. } => 5,
             Self::Status => 6,
             Self::Shutdown => 7,

@@ -80,6 +80,8 @@ struct DoorWords {
     rung: [AtomicU64; LINES],
     /// For each kind of [`Listener`].
     posts: [Post; 2],
+    /// How often the server's control loop went round, modulo 2³².
+    pulse: AtomicU32,
     replies: Replies,
 }
 
@@ -132,6 +134,16 @@ impl Door {
     /// before, with all else under the endpoint's prefix.
     pub fn make(endpoint: &Endpoint, epoch: u64) -> io::Result<Self> {
         Mapping::make(endpoint.door(epoch)).map(Self)
+    }
+
+    /// Says that the server moves; its control loop does at least once a second.
+    pub fn beat(&self) {
+        self.0.pulse.fetch_add(1, Ordering::Relaxed);
+    }
+
+    /// How often it said so, modulo 2³².
+    pub fn pulse(&self) -> u32 {
+        self.0.pulse.load(Ordering::Relaxed)
     }
 
     /// Opens that of a server.

@@ -20,12 +20,12 @@ use std::io;
 use std::os::unix::fs::{DirBuilderExt, FileExt, MetadataExt, OpenOptionsExt};
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use iceoryx2::config::Config;
 use iceoryx2::node::NodeBuilder;
 use iceoryx2::prelude::{FileName, LogLevel, SemanticString, SignalHandlingMode, ipc_threadsafe};
-use rustix::fs::{FlockOperation, flock};
+use rustix::fs::{FallocateFlags, FlockOperation, fallocate, flock};
 
 use crate::error::{Code, Rejection};
 
@@ -40,6 +40,12 @@ pub type Transport = ipc_threadsafe::Service;
 
 /// A participant of the transport.
 pub type Node = iceoryx2::node::Node<Transport>;
+
+/// How long another process may take to remove an endpoint's remains.
+const JOINING: Duration = Duration::from_secs(8);
+
+/// Shared memory that a client takes beside its sessions, bytes: room for its control requests, and bookkeeping.
+pub const CLIENT_BYTES: u64 = 256 << 10;
 
 /// Most clients that one server serves at a time.
 pub const MAX_CLIENTS: usize = 512;
@@ -150,7 +156,14 @@ impl Endpoint {
                 }
                 membership.endpoint.remove_contents()?;
             }
-            flock(&membership.lock, FlockOperation::LockShared)?;
+            let waited = Instant::now();
+            while flock(&membership.lock, FlockOperation::NonBlockingLockShared).is_err() {
+                if waited.elapsed() > JOINING {
+                    let why = "another process has been removing the server's folder for too long";
+                    return Err(io::Error::new(io::ErrorKind::TimedOut, why));
+                }
+                std::thread::sleep(Duration::from_millis(1));
+            }
             // Turning one lock into another is not atomic: somebody may have removed the folder.
             if membership.is_current() {
                 return Ok(membership);
@@ -204,6 +217,49 @@ impl Endpoint {
     pub fn free_memory() -> io::Result<u64> {
         let status = rustix::fs::statvfs(SHARED_MEMORY)?;
         Ok(status.f_bavail.saturating_mul(status.f_frsize))
+    }
+
+    /// An error that says so unless `bytes` of shared memory are free for `what`.
+    pub fn check_free(what: &str, bytes: u64) -> io::Result<()> {
+        let free = Self::free_memory()?;
+        if free >= bytes {
+            return Ok(());
+        }
+        let [free, needed] = [free, bytes].map(|bytes| bytes >> 10);
+        Err(io::Error::new(
+            io::ErrorKind::StorageFull,
+            format!(
+                "{free} KiB of /dev/shm are free, and {what} needs {needed} KiB; remove what fills it, or give the \
+                 container more (docker run --shm-size)"
+            ),
+        ))
+    }
+
+    /// Allocates what of the endpoint's shared memory is only promised: a process that first wrote to such a page
+    /// while `/dev/shm` is full would be ended by a signal. `what` is named where there is not enough.
+    pub fn allocate(&self, what: &str) -> io::Result<()> {
+        let mut missing = 0;
+        for path in self.segments()? {
+            let (Ok(file), Ok(metadata)) =
+                (OpenOptions::new().write(true).open(&path), fs::metadata(&path))
+            else {
+                continue; // removed meanwhile
+            };
+            let promised = metadata.len().saturating_sub(metadata.blocks() * 512);
+            if promised > 0
+                && let Err(error) = fallocate(&file, FallocateFlags::empty(), 0, metadata.len())
+            {
+                if error != rustix::io::Errno::NOSPC {
+                    return Err(error.into());
+                }
+                missing += promised;
+            }
+        }
+        if missing == 0 {
+            return Ok(());
+        }
+        Self::check_free(what, missing)?;
+        Err(io::ErrorKind::StorageFull.into())
     }
 
     /// Shared memory that the server and its clients really take, bytes: pages count once they

@@ -39,6 +39,7 @@ pub mod endpoint;
 pub mod error;
 pub mod goal;
 mod mapping;
+pub mod open_files;
 pub mod placement;
 pub mod seed;
 pub mod sleep;

@@ -54,10 +54,12 @@ pub mod flag {
     pub const DEPTH: u32 = 4;
 }
 
-/// The fixed part of every message, control and data, both directions.
+/// The fixed part of every message, control and data, both directions. Its size and alignment make payloads, which
+/// follow it, begin at cache lines: bytes that asked for that alignment themselves would each get a line.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, ZeroCopySend)]
 #[type_name("TrocarHeader")]
 #[repr(C)]
+#[repr(align(64))]
 pub struct Header {
     /// Always [`MAGIC`].
     pub magic: u32,
@@ -83,7 +85,7 @@ pub struct Header {
     pub reserved: u32,
 }
 
-const _: () = assert!(size_of::<Header>() == 56 && align_of::<Header>() == 8);
+const _: () = assert!(size_of::<Header>() == ALIGNMENT && align_of::<Header>() == ALIGNMENT);
 
 impl Header {
     /// A header of this protocol version with everything else zero.

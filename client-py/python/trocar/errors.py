@@ -85,6 +85,13 @@ class ConnectTimeout(TrocarError, TimeoutError):
     """A server is there but does not answer."""
 
 
+class CallTimeout(TrocarError, TimeoutError):
+    """A connected server does not answer: it is stopped, starved, or waits itself.
+
+    A step that was under way still is: its reply can be received once the server goes on.
+    """
+
+
 class LaunchError(TrocarError):
     """A server could not be started."""
 

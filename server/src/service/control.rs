@@ -12,6 +12,7 @@ use trocar_proto::control::{
 };
 use trocar_proto::door::Door;
 use trocar_proto::endpoint::{Endpoint, LEAST_WAIT, MAX_CLIENTS, Node, ServerLock};
+use trocar_proto::open_files::OpenFiles;
 use trocar_proto::wire::Header;
 use trocar_proto::{Code, Rejection};
 
@@ -46,6 +47,7 @@ pub(super) fn run(
     let epoch = lock.epoch();
     let ControlPorts { port, bell } = ControlPorts::open(node, epoch)?;
     let door = Door::make(&endpoint, epoch).map_err(internal("door"))?;
+    endpoint.allocate("a server").map_err(internal("shared memory"))?;
     let hall =
         Hall::open(config.threads, door).map_err(|error| ServeError::Threads(error.to_string()))?;
     let scheduler = Scheduler::new(hall);
@@ -93,6 +95,7 @@ pub(super) fn run(
     let (name, pid, threads) = (&config.name, std::process::id(), config.threads);
     tracing::info!(%name, pid, threads, metrics, view = seen, "serving");
     while !stop.is_set() {
+        host.scheduler.hall().door.beat();
         host.answer_waiting(&port);
         if looked.elapsed() >= pause {
             let computed = thread_time();
@@ -249,7 +252,7 @@ impl Host {
     }
 
     fn judge(&mut self, header: &Header, payload: &[u8]) -> Answer {
-        let answer = self.desk.judge(header, payload, &self.usage());
+        let answer = self.desk.judge(header, payload, &self.usage(header.kind));
         match &answer {
             // Sessions that are ending hold on to what they had for up to a tenth of a second.
             Answer::Reply(ControlReply::Refused(refusal))
@@ -257,7 +260,7 @@ impl Host {
                     && !self.ending.is_empty() =>
             {
                 self.ending.drain(..).for_each(SessionHandle::join);
-                self.desk.judge(header, payload, &self.usage())
+                self.desk.judge(header, payload, &self.usage(header.kind))
             }
             _ => answer,
         }
@@ -328,6 +331,7 @@ impl Host {
             if self.stop.is_urgent() || start.elapsed() > limit {
                 break;
             }
+            hall.door.beat();
             self.answer_waiting(port);
             bell.timed_wait(|_| {}, Duration::from_millis(2)).ok();
         }
@@ -351,8 +355,8 @@ impl Host {
         self.sessions.values().chain(&self.ending).map(SessionHandle::footprint).sum()
     }
 
-    /// What sessions take; to their clients, those that are ending are gone.
-    fn usage(&self) -> Usage {
+    /// What sessions take, as a request of this kind needs it; to their clients, those that are ending are gone.
+    fn usage(&self, kind: u32) -> Usage {
         let mut clients: BTreeMap<u32, Holding> = BTreeMap::new();
         for session in self.sessions.values() {
             let holding = clients.entry(session.client().pid).or_default();
@@ -364,7 +368,12 @@ impl Host {
             holding.memory_bytes +=
                 self.accounts.get(pid).map_or(0, |account| account.ledger.snapshots());
         }
-        Usage { memory: self.used(), sessions: self.sessions.len() + self.ending.len(), clients }
+        let files = match kind {
+            ControlRequest::OPEN_SESSION => OpenFiles::now(),
+            _ => OpenFiles::default(),
+        };
+        let sessions = self.sessions.len() + self.ending.len();
+        Usage { memory: self.used(), sessions, files, clients }
     }
 
     /// The account of a client, new where it has no session.

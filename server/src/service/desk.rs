@@ -8,11 +8,11 @@ use trocar_proto::control::{
     self, ClientInfo, ControlReply, ControlRequest, ServerInfo, SessionRequest,
 };
 use trocar_proto::endpoint::{Endpoint, MAX_CLIENTS};
-use trocar_proto::wire::{
-    Header, MAGIC, MAX_HELD_REPLIES, MAX_IN_FLIGHT, PictureLayout, ReplyLayout, RequestLayout,
-};
+use trocar_proto::open_files::{OpenFiles, SESSION_FILES};
+use trocar_proto::wire::{Header, MAGIC, MAX_IN_FLIGHT, PictureLayout, ReplyLayout, RequestLayout};
 use trocar_proto::{Code, PROTOCOL_VERSION, Placement, Rejection, TaskSpec};
 
+use super::ports::REPLIES;
 use super::{ServeError, ServerConfig};
 use crate::tasks::Registry;
 
@@ -127,6 +127,8 @@ pub struct Usage {
     pub memory: Footprint,
     /// How many there are.
     pub sessions: usize,
+    /// The server's open files, where a session is to be opened.
+    pub files: OpenFiles,
     /// What those of each client take, by process id.
     pub clients: BTreeMap<u32, Holding>,
 }
@@ -321,14 +323,8 @@ impl Desk {
                 format!("allowed is 1 to {} (serve --max-envs)", self.info.max_envs),
             ));
         }
-        if sessions >= MAX_SESSIONS {
-            return Err(Rejection::new(
-                Code::TooManySessions,
-                "sessions",
-                sessions + 1,
-                format!("allowed are {MAX_SESSIONS} at a time"),
-            ));
-        }
+        let held = usage.clients.get(&pid).copied().unwrap_or_default();
+        check_room(sessions, usage.files, pid, held.sessions)?;
         let view = request.view.as_ref();
         let view = view.map(|view| self.registry.view(&request.task, &request.options, view));
         let view = view.transpose()?.map(|imaging| PictureLayout::new(imaging.spec()));
@@ -336,7 +332,6 @@ impl Desk {
             shared: shared_bytes(request.envs as usize, &spec, view.as_ref()),
             private: u64::from(request.envs) * each,
         };
-        let held = usage.clients.get(&pid).copied().unwrap_or_default();
         self.quota.check(pid, held, request.envs, footprint.total())?;
         if used.total() + footprint.total() > self.budget {
             return Err(Rejection::new(
@@ -354,16 +349,16 @@ impl Desk {
             ));
         }
         let free = self.free_memory(used);
-        // A full /dev/shm kills whoever writes to it, so some must always stay free.
         if footprint.shared + RESERVE > free {
             return Err(Rejection::new(
                 Code::MemoryBudget,
                 "envs",
                 request.envs,
                 format!(
-                    "the session needs {} of shared memory, and {} of /dev/shm are free; give \
-                     the container more (docker run --shm-size)",
+                    "the session needs {} of shared memory, {} more must stay free for other clients, and {} of \
+                     /dev/shm are free; give the container more (docker run --shm-size)",
                     mebibytes(footprint.shared),
+                    mebibytes(RESERVE),
                     mebibytes(free)
                 ),
             ));
@@ -380,25 +375,55 @@ impl Desk {
     }
 }
 
-/// Most sessions at a time; each takes a seat and about ten file descriptors.
+/// Whether process `pid`, which has `held` sessions, may have another, where all have `sessions`. What is left of a
+/// limit is for those who have little: a process gets three quarters of what the others leave.
+fn check_room(sessions: usize, files: OpenFiles, pid: u32, held: usize) -> Result<(), Rejection> {
+    let by_seats = MAX_SESSIONS.saturating_sub(sessions);
+    let by_files = files.sessions(CONTROL_FILES);
+    let room = by_seats.min(by_files);
+    if room > 0 && (held == 0 || 4 * (held + 1) <= 3 * (held + room)) {
+        return Ok(());
+    }
+    let limit = if by_files <= by_seats {
+        let OpenFiles { used, limit } = files;
+        format!(
+            "open files: the server has {used} of the {limit} that it may have, a session takes {SESSION_FILES}, and \
+             {CONTROL_FILES} are kept for control; raise the server's limit (ulimit -n, LimitNOFILE of systemd)"
+        )
+    } else {
+        format!("the server has {sessions} sessions of {MAX_SESSIONS}")
+    };
+    let share = if room > 0 {
+        format!(", and the other {room} are kept for other processes")
+    } else {
+        String::new()
+    };
+    Err(Rejection::new(
+        Code::TooManySessions,
+        "sessions",
+        sessions + 1,
+        format!("process {pid} has {held}{share}; {limit}; or close sessions"),
+    ))
+}
+
+/// Open files that are kept for control: clients that connect, ask for the status, or are reclaimed.
+pub(super) const CONTROL_FILES: usize = 64;
+
+/// Most sessions at a time; each takes a seat.
 pub(super) const MAX_SESSIONS: usize = MAX_CLIENTS;
 
 /// Shared memory that must stay free, bytes: the bookkeeping of a few more clients.
-const RESERVE: u64 = 4 << 20;
+const RESERVE: u64 = 2 << 20;
 
-/// Bookkeeping of one session in shared memory, bytes (measured: three services take 0.2 MiB).
-const SERVICE_BYTES: u64 = 256 << 10;
+/// Bookkeeping of one session in shared memory, bytes (measured: 28 KiB).
+const SERVICE_BYTES: u64 = 32 << 10;
 
-/// Shared memory that a session may take, bytes. The transport keeps twice as many buffers as
-/// requests may be in flight, each with room for what is sent, held and being written.
+/// Shared memory that a session takes, bytes.
 pub(super) fn shared_bytes(envs: usize, spec: &TaskSpec, view: Option<&PictureLayout>) -> u64 {
-    let replies = 2 * MAX_IN_FLIGHT * (1 + MAX_HELD_REPLIES + 1);
     let requests = 2 * MAX_IN_FLIGHT + 2;
     let reply = ReplyLayout::new(envs, spec).bytes;
-    // Buffers are used again, the last one first: no more of them hold pictures than are held at a time.
-    let pictures = MAX_IN_FLIGHT + MAX_HELD_REPLIES + 1;
-    let more = view.map_or(0, |view| view.bytes.saturating_sub(reply));
-    let bytes = replies * reply + pictures * more + requests * RequestLayout::new(envs, spec).bytes;
+    let reply = view.map_or(reply, |view| view.bytes.max(reply));
+    let bytes = REPLIES * reply + requests * RequestLayout::new(envs, spec).bytes;
     bytes as u64 + SERVICE_BYTES
 }
 

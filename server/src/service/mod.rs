@@ -67,6 +67,9 @@ pub use desk::{Answer, Desk, Footprint, Holding, Quota, Usage};
 /// unless that is unusual, and some more.
 const ENDING: Duration = Duration::from_secs(10);
 
+/// Shared memory that a server needs to begin at all, bytes.
+const FIRST_BYTES: u64 = 64 << 10;
+
 /// How a server is set up. [`Self::new`] gives the defaults.
 #[derive(Debug, Clone)]
 pub struct ServerConfig {
@@ -209,6 +212,8 @@ pub fn serve(
     let membership = endpoint.join().map_err(folder)?;
     let lock = take_lock(&membership, epoch).map_err(folder)?;
     let lock = lock.map_err(|pid| ServeError::NameInUse { name: config.name.to_string(), pid })?;
+    // Without that, not even the predecessor's remains can be looked through.
+    Endpoint::check_free("a server", FIRST_BYTES).map_err(folder)?;
     let node = Arc::new(membership.node().map_err(internal("node"))?);
     // A predecessor may have died while its clients live: what it left goes first. So does what
     // nobody uses under other names: those of private servers are not used again.
@@ -217,6 +222,7 @@ pub fn serve(
     for other in Endpoint::all().map_err(folder)? {
         other.remove_if_unused().ok();
     }
+    Endpoint::check_free("a server", ports::START_BYTES).map_err(folder)?;
     let served =
         control::run(Arc::new(registry), config, &lock, &node, endpoint.clone(), stop, ready);
     node.try_cleanup_dead_nodes();

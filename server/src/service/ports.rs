@@ -1,18 +1,38 @@
 //! The server's ends of the transport: how its services are made, and what a reply is.
 
+use std::time::{Duration, Instant};
+
 use iceoryx2::active_request::ActiveRequest;
 use iceoryx2::port::LoanError;
 use iceoryx2::port::listener::Listener;
 use iceoryx2::port::server::Server as ServerPort;
-use iceoryx2::prelude::{Alignment, ServiceName};
+use iceoryx2::prelude::ServiceName;
 use iceoryx2::response_mut::ResponseMut;
 use trocar_proto::Rejection;
 use trocar_proto::bell::Bells;
 use trocar_proto::control::{self, ControlReply, MAX_MESSAGE};
 use trocar_proto::endpoint::{self, Endpoint, MAX_CLIENTS, Node, Transport};
-use trocar_proto::wire::{ALIGNMENT, Header, MAX_HELD_REPLIES, MAX_IN_FLIGHT};
+use trocar_proto::open_files::{OpenFiles, SESSION_FILES};
+use trocar_proto::wire::{Header, MAX_HELD_REPLIES, MAX_IN_FLIGHT};
 
+use super::desk::CONTROL_FILES;
 use super::internal;
+
+/// Control replies that there is room for at a time: those that clients have not read yet.
+const CONTROL_REPLIES: usize = 32;
+
+/// How long a control reply waits for room: clients read theirs at once, unless they are stopped.
+const ROOM: Duration = Duration::from_millis(100);
+
+/// Files that the server has open for a client's control requests.
+const CLIENT_PORT_FILES: usize = 3;
+
+/// Shared memory that a server takes beside its sessions, bytes: room for control replies, and bookkeeping.
+pub(super) const START_BYTES: u64 = (CONTROL_REPLIES * MAX_MESSAGE) as u64 + (384 << 10);
+
+/// Replies of a session that there is room for at a time: those that its client holds on to, those to requests in
+/// flight and to as many that it has dropped, and the one that is written.
+pub(super) const REPLIES: usize = MAX_HELD_REPLIES + 2 * MAX_IN_FLIGHT + 1;
 
 /// A request that waits for its reply.
 pub(super) type Request = ActiveRequest<Transport, [u8], Header, [u8], Header>;
@@ -36,6 +56,13 @@ pub(super) fn loan(request: &Request, bytes: usize) -> Result<Response, LoanErro
     Ok(unsafe { room.assume_init() })
 }
 
+/// Most clients at a time: each may have files open in the server for itself and a session.
+fn most_clients() -> usize {
+    let files = OpenFiles::now();
+    let each = SESSION_FILES + CLIENT_PORT_FILES;
+    (files.limit.saturating_sub(files.used + CONTROL_FILES) / each).clamp(1, MAX_CLIENTS)
+}
+
 /// Where control messages arrive.
 pub(super) struct ControlPorts {
     pub(super) port: Port,
@@ -45,6 +72,7 @@ pub(super) struct ControlPorts {
 impl ControlPorts {
     /// Creates the control service of the run `epoch` of the server.
     pub(super) fn open(node: &Node, epoch: u64) -> Result<Self, Rejection> {
+        let clients = most_clients();
         let name = service_name(&endpoint::control_service(epoch));
         let service = node
             .service_builder(&name)
@@ -52,8 +80,8 @@ impl ControlPorts {
             .request_user_header::<Header>()
             .response_user_header::<Header>()
             .max_servers(1)
-            .max_clients(MAX_CLIENTS)
-            .max_nodes(MAX_CLIENTS + 1)
+            .max_clients(clients)
+            .max_nodes(clients + 1)
             .max_active_requests_per_client(1)
             .max_loaned_requests(1)
             .max_response_buffer_size(1)
@@ -67,8 +95,8 @@ impl ControlPorts {
             .service_builder(&name)
             .event()
             .max_listeners(1)
-            .max_notifiers(MAX_CLIENTS)
-            .max_nodes(MAX_CLIENTS + 1)
+            .max_notifiers(clients)
+            .max_nodes(clients + 1)
             .create()
             .map_err(internal("control bell"))?;
         // The listener first: whoever can open the control service can ring.
@@ -77,6 +105,7 @@ impl ControlPorts {
             .server_builder()
             .initial_max_slice_len(MAX_MESSAGE)
             .max_loaned_responses_per_request(1)
+            .override_response_preallocation(|_| CONTROL_REPLIES)
             .create()
             .map_err(internal("control port"))?;
         Ok(Self { port, bell })
@@ -89,17 +118,24 @@ pub(super) fn reply(request: &Request, reply: &ControlReply) {
     let encoded = control::encode(reply, &mut bytes)
         .or_else(|refusal| control::encode(&ControlReply::Refused(refusal), &mut bytes));
     let Ok(length) = encoded else { return };
-    let sent = request.loan_slice(length).map_err(|error| format!("{error:?}")).and_then(
-        |mut response| {
-            response.payload_mut().copy_from_slice(&bytes[..length]);
-            let asked = request.user_header();
-            *response.user_header_mut() =
-                Header { length: length as u32, request: asked.request, ..Header::new(asked.kind) };
-            response.send().map_err(|error| format!("{error:?}"))
-        },
-    );
+    let start = Instant::now();
+    let room = loop {
+        match request.loan_slice(length) {
+            Err(LoanError::OutOfMemory) if start.elapsed() < ROOM => {
+                std::thread::sleep(ROOM / 100);
+            }
+            room => break room,
+        }
+    };
+    let sent = room.map_err(|error| format!("{error:?}")).and_then(|mut response| {
+        response.payload_mut().copy_from_slice(&bytes[..length]);
+        let asked = request.user_header();
+        *response.user_header_mut() =
+            Header { length: length as u32, request: asked.request, ..Header::new(asked.kind) };
+        response.send().map_err(|error| format!("{error:?}"))
+    });
     if let Err(error) = sent {
-        tracing::debug!(error, "a control reply was not delivered");
+        tracing::warn!(error, "a control reply was not delivered");
     }
 }
 
@@ -118,14 +154,11 @@ impl DataPorts {
         session: u64,
         reply_bytes: usize,
     ) -> Result<Self, Rejection> {
-        let alignment = Alignment::new(ALIGNMENT).expect("a power of two");
         let service = node
             .service_builder(&service_name(&endpoint::data_service(epoch, session)))
             .request_response::<[u8], [u8]>()
             .request_user_header::<Header>()
             .response_user_header::<Header>()
-            .request_payload_alignment(alignment)
-            .response_payload_alignment(alignment)
             .max_servers(1)
             .max_clients(1)
             .max_nodes(2)
@@ -143,6 +176,7 @@ impl DataPorts {
             .server_builder()
             .initial_max_slice_len(reply_bytes)
             .max_loaned_responses_per_request(1)
+            .override_response_preallocation(|_| REPLIES)
             .create()
             .map_err(internal("data port"))?;
         Ok(Self { port, bells })

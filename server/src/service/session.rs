@@ -216,6 +216,10 @@ impl Session {
             return Err(Rejection::new(Code::UnknownSession, "session", id, why));
         }
         let ports = DataPorts::open(&ground.node, &ground.endpoint, epoch, id, most)?;
+        // What is promised to a client is its own from now on, whatever fills shared memory.
+        ground.endpoint.allocate("the session").map_err(|error| {
+            Rejection::new(Code::MemoryBudget, "envs", wanted.envs, error.to_string())
+        })?;
         let Shared { task, client, .. } = &*shared;
         let (pid, language) = (client.pid, client.language.as_str());
         tracing::info!(session = id, pid, language, task, envs, "session opened");

@@ -1,0 +1,118 @@
+//! What can run out: open files, shared memory, the server's patience and its clients'.
+
+use std::process::Command;
+
+use rustix::process::Signal;
+use trocar_client::{CallError, Client, SessionRequest};
+
+use crate::harness::{
+    Process, Server, Watchdog, binary, client, client_command, eventually, unique_name,
+};
+use crate::namespaces::unshare;
+use crate::twin::Bystander;
+
+/// A server that may have so many files open.
+fn narrow(files: u32) -> Server {
+    let name = unique_name();
+    let mut command = Command::new("sh");
+    command.args(["-c", "ulimit -n $0; exec \"$@\"", &files.to_string()]).arg(binary());
+    command.args(["serve", "--name", &name, "--threads", "2"]).env("TROCAR_LOG", "warn");
+    Server::start_command(&name, &mut command)
+}
+
+fn assert_names(said: &str, parts: &[&str]) {
+    for part in parts {
+        assert!(said.contains(part), "{said:?} does not name {part:?}");
+    }
+}
+
+#[test]
+fn a_client_that_opens_sessions_without_end_is_refused_and_others_go_on() {
+    for files in [256, 1024] {
+        let server = narrow(files);
+        let others: Vec<Bystander> = (0..3).map(|_| Bystander::start(&server)).collect();
+        let mut greedy = client(server.name(), "greedy");
+        let limit = format!("of the {files}");
+        assert_names(&greedy.line(), &["open files", &limit, "a session takes 8", "ulimit -n"]);
+        // Who comes later, has room too.
+        let late: Vec<Client> = (0..2).map(|_| server.connect()).collect();
+        for client in &late {
+            let mut session = client.open(&SessionRequest::new("EcmReach-v0")).unwrap();
+            session.reset().unwrap();
+        }
+        let observer = server.connect();
+        let held = observer.status().unwrap().sessions.len();
+        assert!(held > 8, "{held}");
+        let taken = server.open_files();
+        greedy.kill();
+        let few = others.len();
+        eventually("all is back", || observer.status().unwrap().sessions.len() <= few);
+        eventually("files are back", || server.open_files() < taken - 4 * (held - few));
+        others.into_iter().for_each(Bystander::finish);
+        drop(observer.open(&SessionRequest::new("EcmReach-v0")).unwrap());
+    }
+}
+
+#[test]
+fn whoever_waits_for_a_server_that_stands_still_is_told_and_can_go_on_with_it() {
+    let mut server = Server::start();
+    let client = server.connect();
+    let mut session = client.open(&SessionRequest::new("EcmReach-v0")).unwrap();
+    session.reset().unwrap();
+    server.process().stop();
+    let actions = vec![0.5; session.spec().action_dim()];
+    let said = |error: CallError| match error {
+        CallError::Timeout { .. } => error.to_string(),
+        other => panic!("{other}"),
+    };
+    let waiting = client.clone();
+    let status = std::thread::spawn(move || waiting.status().unwrap_err());
+    assert_names(&said(session.step(&actions).unwrap_err()), &["step", "stopped"]);
+    assert_names(&said(status.join().unwrap()), &["the status", "stopped"]);
+    server.process().signal(Signal::CONT);
+    assert_eq!(session.recv().unwrap().steps(), [1], "the step was carried out");
+    assert_eq!(session.step(&actions).unwrap().steps(), [2]);
+    assert_eq!(client.status().unwrap().sessions.len(), 1);
+}
+
+/// A shell's script, with a `/dev/shm` of its own of so many KiB; `None` where this user may not do that.
+fn with_shared_memory(kibibytes: u32, script: &str, name: &str) -> Option<Command> {
+    let mut command = unshare()?;
+    let mount = format!("mount -t tmpfs -o size={kibibytes}k tmpfs /dev/shm || exit 1; {script}");
+    let client = client_command(name, "fill-late");
+    command.args(["sh", "-c", &mount]).arg(binary()).arg(client.get_program()).arg(name);
+    Some(command)
+}
+
+#[test]
+fn what_a_session_was_promised_is_its_own_when_shared_memory_is_filled() {
+    let _watchdog = Watchdog::start();
+    let script = "\"$0\" serve --name \"$2\" & \"$1\" fill-late \"$2\"; code=$?; \
+                  \"$0\" stop --name \"$2\" && wait && ls -A /dev/shm && exit $code";
+    let Some(mut command) = with_shared_memory(16384, script, &unique_name()) else { return };
+    let mut process = Process::spawn(&mut command);
+    assert_eq!(process.line(), "stepped");
+    assert_names(&process.line(), &["/dev/shm", "the session needs", "--shm-size"]);
+    assert_names(&process.line(), &["0 KiB of /dev/shm", "a client needs", "--shm-size"]);
+    assert_eq!(process.line(), "opened");
+    let (status, rest) = process.finish();
+    assert!(status.success() && rest.trim().is_empty(), "{status}: {rest}");
+}
+
+#[test]
+fn a_server_that_begins_in_little_shared_memory_says_so() {
+    let _watchdog = Watchdog::start();
+    for free in [0, 32, 64, 1024] {
+        let size = 8192;
+        let script = format!(
+            "head -c {} /dev/zero > /dev/shm/filler; \"$0\" serve --name \"$2\" 2>&1; echo $?",
+            (size - free) * 1024
+        );
+        let Some(mut command) = with_shared_memory(size, &script, &unique_name()) else { return };
+        let output = command.output().unwrap();
+        let said = String::from_utf8_lossy(&output.stdout).into_owned();
+        assert!(said.trim_end().ends_with("\n1"), "{free} KiB: {said:?}");
+        let room = ["No space left on device", "KiB of /dev/shm are free"];
+        assert!(room.iter().any(|words| said.contains(words)), "{free} KiB: {said:?}");
+    }
+}
