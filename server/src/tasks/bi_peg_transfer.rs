@@ -27,17 +27,17 @@
 //!
 //! | Num | Meaning | Min | Max | Unit |
 //! |---|---|---|---|---|
-//! | 0 | PSM1 wrist x (wrist-yaw axis, as sensed), scene frame | 0.486 | 0.614 | m |
-//! | 1 | PSM1 wrist y | −0.064 | 0.064 | m |
-//! | 2 | PSM1 wrist z | 0.6862 | 0.7812 | m |
+//! | 0 | PSM1 wrist x (wrist-yaw axis, as sensed), scene frame | 0.476 | 0.624 | m |
+//! | 1 | PSM1 wrist y | −0.074 | 0.074 | m |
+//! | 2 | PSM1 wrist z | 0.6762 | 0.7912 | m |
 //! | 3 | roll of PSM1's wrist link; −π/2 under `paper` | −π | π | rad |
 //! | 4 | pitch; 0 under `paper` | −π/2 | π/2 | rad |
 //! | 5 | yaw; π/2 at the start | −π | π | rad |
 //! | 6 | PSM1 jaw angle: the opening between the fingers | −0.1 | 1.6 | rad |
 //! | 7–13 | the same of PSM2 | | | |
 //! | 14–16 | block x, y, z (its centre), scene frame | 0.292, −0.268, 0.6 | 0.708, 0.268, 0.9 | m |
-//! | 17–19 | block less PSM1's wrist x, y, z, scene frame | −0.322, −0.332, −0.1812 | 0.222, 0.332, 0.2138 | m |
-//! | 20–22 | block less PSM2's wrist x, y, z, scene frame | −0.322, −0.332, −0.1812 | 0.222, 0.332, 0.2138 | m |
+//! | 17–19 | block less PSM1's wrist x, y, z, scene frame | −0.332, −0.342, −0.1912 | 0.232, 0.342, 0.2238 | m |
+//! | 20–22 | block less PSM2's wrist x, y, z, scene frame | −0.332, −0.342, −0.1912 | 0.232, 0.342, 0.2238 | m |
 //! | 23–25 | middle of the block's wall 1 x, y, z, scene frame | 0.292, −0.268, 0.6 | 0.708, 0.268, 0.9 | m |
 //! | 26–28 | roll, pitch, yaw of that wall | −π, −π/2, −π | π, π/2, π | rad |
 //! | 29–31 | middle of the block's wall 2 x, y, z, scene frame | 0.292, −0.268, 0.6 | 0.708, 0.268, 0.9 | m |

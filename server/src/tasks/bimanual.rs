@@ -15,7 +15,7 @@ use crate::sim::world::{BodyId, World};
 
 /// How far outside of the two workspaces together an arm may be dragged by the other, m: arms yield to an object
 /// that both hold.
-const DRAGGED: f64 = 0.01;
+const DRAGGED: f64 = 0.02;
 
 /// The elements of [`observe`]: of both arms, of the object `object`, and of the places `places` at which
 /// PSM1 and PSM2 grasp it.

@@ -28,17 +28,17 @@
 //!
 //! | Num | Meaning | Min | Max | Unit |
 //! |---|---|---|---|---|
-//! | 0 | PSM1 wrist x (wrist-yaw axis, as sensed), scene frame | 0.536 | 0.614 | m |
-//! | 1 | PSM1 wrist y | −0.094 | 0.094 | m |
-//! | 2 | PSM1 wrist z | 0.6952 | 0.7812 | m |
+//! | 0 | PSM1 wrist x (wrist-yaw axis, as sensed), scene frame | 0.526 | 0.624 | m |
+//! | 1 | PSM1 wrist y | −0.104 | 0.104 | m |
+//! | 2 | PSM1 wrist z | 0.6852 | 0.7912 | m |
 //! | 3 | roll of PSM1's wrist link; 0 under `paper` | −π | π | rad |
 //! | 4 | pitch | −π/2 | π/2 | rad |
 //! | 5 | yaw; −π/2 under `paper` | −π | π | rad |
 //! | 6 | PSM1 jaw angle: the opening between the fingers | −0.1 | 1.6 | rad |
 //! | 7–13 | the same of PSM2; roll −π and yaw π/2 under `paper`, at a pitch of ±π/2 0 and −π/2 | | | |
 //! | 14–16 | needle x, y, z (centre of its arc), scene frame | 0.292, −0.268, 0.6 | 0.708, 0.268, 0.9 | m |
-//! | 17–19 | needle less PSM1's wrist x, y, z, scene frame | −0.322, −0.362, −0.1812 | 0.172, 0.362, 0.2048 | m |
-//! | 20–22 | needle less PSM2's wrist x, y, z, scene frame | −0.322, −0.362, −0.1812 | 0.172, 0.362, 0.2048 | m |
+//! | 17–19 | needle less PSM1's wrist x, y, z, scene frame | −0.332, −0.372, −0.1912 | 0.182, 0.372, 0.2148 | m |
+//! | 20–22 | needle less PSM2's wrist x, y, z, scene frame | −0.332, −0.372, −0.1912 | 0.182, 0.372, 0.2148 | m |
 //! | 23–25 | needle near its point (60° from the middle of the arc) x, y, z, scene frame | 0.292, −0.268, 0.6 | 0.708, 0.268, 0.9 | m |
 //! | 26–28 | roll, pitch, yaw of the needle there | −π, −π/2, −π | π, π/2, π | rad |
 //! | 29–31 | needle near its swage (60° from the middle) x, y, z, scene frame | 0.292, −0.268, 0.6 | 0.708, 0.268, 0.9 | m |
