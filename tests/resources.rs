@@ -1,9 +1,11 @@
 //! What can run out: open files, shared memory, the server's patience and its clients'.
 
 use std::process::Command;
+use std::time::Duration;
 
 use rustix::process::Signal;
-use trocar_client::{CallError, Client, SessionRequest};
+use trocar_client::{CallError, Client, ConnectError, SessionRequest};
+use trocar_proto::open_files::SESSION_FILES;
 
 use crate::harness::{
     Process, Server, Watchdog, binary, client, client_command, eventually, unique_name,
@@ -28,33 +30,53 @@ fn assert_names(said: &str, parts: &[&str]) {
 
 #[test]
 fn a_client_that_opens_sessions_without_end_is_refused_and_others_go_on() {
-    for files in [256, 1024] {
+    let rounds = if std::env::var_os("TROCAR_SOAK").is_some() { 100 } else { 1 };
+    for files in [256, 1024, 4096] {
         let server = narrow(files);
-        let others: Vec<Bystander> = (0..3).map(|_| Bystander::start(&server)).collect();
-        let mut greedy = client(server.name(), "greedy");
-        let limit = format!("of the {files}");
-        assert_names(&greedy.line(), &["open files", &limit, "a session takes 8", "ulimit -n"]);
-        // Who comes later, has room too.
-        let late: Vec<Client> = (0..2).map(|_| server.connect()).collect();
-        for client in &late {
-            let mut session = client.open(&SessionRequest::new("EcmReach-v0")).unwrap();
-            session.reset().unwrap();
-        }
-        let observer = server.connect();
-        let held = observer.status().unwrap().sessions.len();
-        assert!(held > 8, "{held}");
-        let taken = server.open_files();
-        greedy.kill();
-        let few = others.len();
-        eventually("all is back", || observer.status().unwrap().sessions.len() <= few);
-        eventually("files are back", || server.open_files() < taken - 4 * (held - few));
-        others.into_iter().for_each(Bystander::finish);
-        drop(observer.open(&SessionRequest::new("EcmReach-v0")).unwrap());
+        let mut took: Vec<_> = (0..rounds).map(|_| outdo_a_greedy_client(&server, files)).collect();
+        took.sort();
+        let (median, worst) = (took[took.len() / 2], took[took.len() - 1]);
+        eprintln!(
+            "{files} files, {rounds} times: all is back after {median:?} (median), {worst:?} (worst)"
+        );
     }
 }
 
+/// Lets others go on while a client opens sessions without end, kills it, and says how long the server takes to have
+/// all back.
+fn outdo_a_greedy_client(server: &Server, files: u32) -> Duration {
+    let others: Vec<Bystander> = (0..3).map(|_| Bystander::start(server)).collect();
+    let few = server.open_files();
+    let mut greedy = client(server.name(), "greedy");
+    let said = greedy.line();
+    if files < 4096 {
+        let limit = format!("of the {files}");
+        assert_names(&said, &["open files", &limit, "a session takes 8", "ulimit -n"]);
+    } else {
+        assert_names(&said, &["sessions of 512", "kept for other processes"]);
+    }
+    // Later clients have room, too.
+    let late: Vec<Client> = (0..2).map(|_| server.connect()).collect();
+    for client in &late {
+        let mut session = client.open(&SessionRequest::new("EcmReach-v0")).unwrap();
+        session.reset().unwrap();
+    }
+    let observer = server.connect();
+    let held = observer.status().unwrap().sessions.len();
+    assert!(held > 8, "{held}");
+    greedy.kill();
+    // The connections of the observer and the later clients are there still.
+    let took = eventually("all is back", || {
+        let left = observer.status().unwrap().sessions.len();
+        left <= others.len() && server.open_files() < few + SESSION_FILES * 3
+    });
+    others.into_iter().for_each(Bystander::finish);
+    drop(observer.open(&SessionRequest::new("EcmReach-v0")).unwrap());
+    took
+}
+
 #[test]
-fn whoever_waits_for_a_server_that_stands_still_is_told_and_can_go_on_with_it() {
+fn clients_of_a_server_that_stands_still_are_told_and_go_on_with_it() {
     let mut server = Server::start();
     let client = server.connect();
     let mut session = client.open(&SessionRequest::new("EcmReach-v0")).unwrap();
@@ -65,10 +87,14 @@ fn whoever_waits_for_a_server_that_stands_still_is_told_and_can_go_on_with_it() 
         CallError::Timeout { .. } => error.to_string(),
         other => panic!("{other}"),
     };
+    let name = server.name().to_string();
+    let connection = std::thread::spawn(move || Client::connect(&name).unwrap_err());
     let waiting = client.clone();
     let status = std::thread::spawn(move || waiting.status().unwrap_err());
     assert_names(&said(session.step(&actions).unwrap_err()), &["step", "stopped"]);
     assert_names(&said(status.join().unwrap()), &["the status", "stopped"]);
+    let refused = connection.join().unwrap();
+    assert!(matches!(refused, ConnectError::Timeout { .. }), "{refused}");
     server.process().signal(Signal::CONT);
     assert_eq!(session.recv().unwrap().steps(), [1], "the step was carried out");
     assert_eq!(session.step(&actions).unwrap().steps(), [2]);

@@ -105,6 +105,9 @@ impl Client {
                         Err(CallError::Transport(reason)) => {
                             return Err(ConnectError::Transport(reason));
                         }
+                        Err(CallError::Timeout { name, seconds, .. }) => {
+                            return Err(ConnectError::Timeout { name, seconds });
+                        }
                         Err(_) => return Err(ConnectError::NoServer { name }),
                         Ok(client) => return Ok(client),
                     }

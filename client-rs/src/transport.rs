@@ -211,19 +211,25 @@ impl Link {
         // A server that is gone takes no requests, and sending them would come to wait for ever.
         self.check_server()?;
         let control = self.control.lock().unwrap_or_else(PoisonError::into_inner);
-        let mut request =
-            control.loan_slice(bytes.len().max(1)).map_err(transport("control request"))?;
-        request.payload_mut()[..bytes.len()].copy_from_slice(bytes);
-        *request.user_header_mut() = header;
-        let pending = request.send().map_err(transport("control request"))?;
-        if pending.number_of_server_connections() == 0 {
-            self.check_server()?;
-            return Err(CallError::Transport(
-                "the server is not there yet, or has not taken an earlier request".into(),
-            ));
-        }
-        ring(&self.bell)?;
         let start = Instant::now();
+        let pending = loop {
+            let mut request =
+                control.loan_slice(bytes.len().max(1)).map_err(transport("control request"))?;
+            request.payload_mut()[..bytes.len()].copy_from_slice(bytes);
+            *request.user_header_mut() = header;
+            let pending = request.send().map_err(transport("control request"))?;
+            if pending.number_of_server_connections() > 0 {
+                break pending;
+            }
+            // Its port is not there yet, or it has not taken an earlier request, whose sender gave up.
+            self.check_server()?;
+            self.check_pulse(purpose)?;
+            if start.elapsed() > LIMIT {
+                return Err(self.timeout(format!("{purpose}; it takes no requests"), LIMIT));
+            }
+            std::thread::sleep(BRISK);
+        };
+        ring(&self.bell)?;
         let mut checked = start;
         loop {
             // Asked before the reply is looked for: a server answers, and then lets go.

@@ -163,7 +163,7 @@ pub enum ServeError {
     #[error(transparent)]
     Refused(#[from] Rejection),
     /// The folder or the lock file failed.
-    #[error("{path}: {source}")]
+    #[error("{path}")]
     Folder {
         /// The server's folder.
         path: String,
