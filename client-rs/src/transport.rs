@@ -170,15 +170,16 @@ impl Link {
         Err(CallError::ServerLost { name: endpoint.name().to_string(), closed })
     }
 
-    /// An error if the server has stood still while `what` was waited for.
-    fn check_pulse(&self, what: &str) -> Result<(), CallError> {
+    /// An error if the server has stood still while `what` was waited for, which began at `start`. A server that goes on
+    /// has a moment to say so.
+    fn check_pulse(&self, what: &str, start: Instant) -> Result<(), CallError> {
         let (count, now) = (self.door.pulse(), Instant::now());
         let mut pulse = self.pulse.lock().unwrap_or_else(PoisonError::into_inner);
         if pulse.count != count || now - pulse.looked > PAUSE {
             (pulse.count, pulse.since) = (count, now);
         }
         pulse.looked = now;
-        if now - pulse.since < STILL {
+        if now - pulse.since < STILL || now - start < 2 * PAUSE {
             return Ok(());
         }
         Err(self.timeout(format!("{what}; it is stopped or gets no processor"), STILL))
@@ -223,7 +224,7 @@ impl Link {
             }
             // Its port is not there yet, or it has not taken an earlier request, whose sender gave up.
             self.check_server()?;
-            self.check_pulse(purpose)?;
+            self.check_pulse(purpose, start)?;
             if start.elapsed() > LIMIT {
                 return Err(self.timeout(format!("{purpose}; it takes no requests"), LIMIT));
             }
@@ -244,7 +245,7 @@ impl Link {
             }
             if checked.elapsed() > SLICE {
                 self.check_answers()?;
-                self.check_pulse(purpose)?;
+                self.check_pulse(purpose, start)?;
                 let is_opening = header.kind == ControlRequest::OPEN_SESSION;
                 let limit = if is_opening { OPENING_LIMIT } else { LIMIT };
                 if start.elapsed() > limit {
@@ -270,6 +271,8 @@ pub(crate) struct DataPort {
     /// Has a clone in each reply that is held on to.
     held: Arc<()>,
     vigil: Vigil,
+    /// Since when replies have been waited for, at most: the latest request, or the latest loss of patience.
+    waiting: Instant,
     /// Somebody had to be woken up for the latest request.
     slept: bool,
     request_bytes: usize,
@@ -311,6 +314,7 @@ impl DataPort {
             bells,
             held,
             vigil,
+            waiting: Instant::now(),
             slept: false,
             request_bytes,
             session,
@@ -330,6 +334,7 @@ impl DataPort {
         *request.user_header_mut() = header;
         let request = request.send().map_err(transport("request"))?;
         self.slept = self.link.door.ring(self.seat, self.bells.size());
+        self.waiting = Instant::now();
         Ok(Pending { request, seen })
     }
 
@@ -364,7 +369,9 @@ impl DataPort {
                 Woken::Rung => {}
                 Woken::Late => {
                     self.link.check_answers()?;
-                    self.link.check_pulse("the reply to a step, reset or snapshot")?;
+                    let what = "the reply to a step, reset or snapshot";
+                    let still = self.link.check_pulse(what, self.waiting);
+                    still.inspect_err(|_| self.waiting = Instant::now())?;
                     slice = (2 * slice).min(LONGEST_SLICE);
                     late = true;
                 }
