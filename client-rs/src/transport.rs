@@ -36,17 +36,17 @@ const CONTROL_REQUESTS: usize = 2;
 /// How long control replies are polled for without sleeping.
 const BRISK: Duration = Duration::from_micros(200);
 
-/// How long a server may stand still while somebody waits for it.
+/// How long a server may stand still while a client waits for it.
 const STILL: Duration = Duration::from_secs(7);
 
-/// How long a wait for it may be interrupted: what passes between two waits is nobody's patience.
+/// Longest pause between two looks at its pulse: after more, the client was not waiting.
 const PAUSE: Duration = Duration::from_secs(1);
 
 /// How long a control request may take; one that opens a session may have to prepare where its episodes begin.
 const LIMIT: Duration = Duration::from_secs(8);
 const OPENING_LIMIT: Duration = Duration::from_mins(10);
 
-/// The pulse of a server, as those who wait for it see it.
+/// The pulse of a server, as its waiting client sees it.
 #[derive(Debug)]
 struct Pulse {
     count: u32,

@@ -375,8 +375,8 @@ impl Desk {
     }
 }
 
-/// Whether process `pid`, which has `held` sessions, may have another, where all have `sessions`. What is left of a
-/// limit is for those who have little: a process gets three quarters of what the others leave.
+/// Whether process `pid`, which has `held` sessions, may have another, where all have `sessions`. A process gets three
+/// quarters of what the others leave of a limit, so that later processes find room.
 fn check_room(sessions: usize, files: OpenFiles, pid: u32, held: usize) -> Result<(), Rejection> {
     let by_seats = MAX_SESSIONS.saturating_sub(sessions);
     let by_files = files.sessions(CONTROL_FILES);
