@@ -337,7 +337,7 @@ fn opening_and_closing_many_sessions_uses_nothing_up() {
     let (first, before) = (own(&mut churn), held());
     churn.input().write_all(b"again\n").unwrap();
     assert_eq!(own(&mut churn), first, "open files of the client");
-    // For moments the server has files open, to look who is alive.
+    // The server opens files for moments, when it lists the nodes that are alive.
     eventually("the server has as much as before", || held() == before);
 }
 
