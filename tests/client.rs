@@ -27,6 +27,7 @@ fn main() -> Result<()> {
         "fill" => fill(server),
         "fill-late" => fill_after_opening(server),
         "greedy" => open_without_end(server),
+        "fifty" => open_fifty(server),
         "step" => step_for_ever(server),
         "hold" => hold_replies(server),
         "in-flight" => leave_in_flight(server),
@@ -109,6 +110,19 @@ fn open_without_end(server: &str) -> Result<()> {
         }
     };
     say(&refusal.to_string())?;
+    await_end_of_input()
+}
+
+/// Opens fifty sessions, resets each, and keeps them.
+fn open_fifty(server: &str) -> Result<()> {
+    let client = Client::connect(server)?;
+    let mut sessions = vec![];
+    for _ in 0..50 {
+        let mut session = client.open(&request())?;
+        session.reset()?;
+        sessions.push(session);
+    }
+    say("ready")?;
     await_end_of_input()
 }
 

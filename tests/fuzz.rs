@@ -14,11 +14,11 @@ use trocar_proto::wire::{Header, kind};
 use trocar_server::Registry;
 use trocar_server::service::{Answer, Desk, ServerConfig, Usage};
 
-use crate::harness::{Server, eventually};
+use crate::harness::{Server, eventually, soak};
 use crate::twin::Bystander;
 
 fn count() -> usize {
-    if std::env::var_os("TROCAR_SOAK").is_some() { 50_000 } else { 2_000 }
+    if soak() { 50_000 } else { 2_000 }
 }
 
 #[test]

@@ -20,6 +20,14 @@ pub(crate) const PATIENCE: Duration = Duration::from_secs(30);
 /// How long a whole test may take.
 const WATCHDOG: Duration = Duration::from_mins(4);
 
+/// The same for the long runs of `make soak`.
+const SOAK_WATCHDOG: Duration = Duration::from_hours(2);
+
+/// Whether the long runs are wanted.
+pub(crate) fn soak() -> bool {
+    std::env::var_os("TROCAR_SOAK").is_some()
+}
+
 /// The processes that tests have started and not yet ended.
 static CHILDREN: Mutex<BTreeSet<u32>> = Mutex::new(BTreeSet::new());
 
@@ -83,6 +91,13 @@ impl Server {
     /// Number of its open files.
     pub(crate) fn open_files(&self) -> usize {
         self.child.open_files()
+    }
+
+    /// Memory of its own that it takes, bytes.
+    pub(crate) fn memory(&self) -> u64 {
+        let status = std::fs::read_to_string(format!("/proc/{}/status", self.child.pid())).unwrap();
+        let line = status.lines().find_map(|line| line.strip_prefix("RssAnon:")).unwrap();
+        line.trim().trim_end_matches(" kB").parse::<u64>().unwrap() << 10
     }
 }
 
@@ -283,12 +298,13 @@ pub(crate) struct Watchdog(Option<Sender<()>>);
 impl Watchdog {
     pub(crate) fn start() -> Self {
         let test = std::thread::current().name().unwrap_or("a test").to_string();
+        let limit = if soak() { SOAK_WATCHDOG } else { WATCHDOG };
         let (alive, done) = channel();
         std::thread::spawn(move || {
-            if done.recv_timeout(WATCHDOG) != Err(RecvTimeoutError::Timeout) {
+            if done.recv_timeout(limit) != Err(RecvTimeoutError::Timeout) {
                 return;
             }
-            eprintln!("{test} hangs: no end after {WATCHDOG:?}");
+            eprintln!("{test} hangs: no end after {limit:?}");
             for pid in CHILDREN.lock().unwrap().iter() {
                 let pid = Pid::from_raw(pid.cast_signed()).expect("a process has a number");
                 kill_process(pid, Signal::KILL).ok();

@@ -16,6 +16,7 @@
 //! | `operation.rs` | quotas, metrics, logs, an end in order |
 //! | `view.rs` | the live viewer |
 //! | `fuzz.rs` | hostile bytes sent to a running server |
+//! | `rubbish.rs` | rubbish in what a server shares with its clients |
 //! | `namespaces.rs` | server and client in separate process namespaces |
 //! | `dependencies.rs` | who may depend on what |
 //!
@@ -37,6 +38,7 @@ mod reconnect;
 mod refusals;
 mod resources;
 mod rows;
+mod rubbish;
 mod snapshots;
 mod twin;
 mod view;

@@ -4,7 +4,7 @@
 use trocar_client::{Autoreset, Options, Session, SessionRequest};
 use trocar_server::Registry;
 
-use crate::harness::Server;
+use crate::harness::{Server, soak};
 use crate::rows::{Row, act, policies};
 use crate::twin::Twin;
 
@@ -13,7 +13,7 @@ const STEPS: usize = 70;
 
 /// The same for tasks under options, where only the first steps are compared unless in a soak.
 fn steps_under(options: &Options) -> usize {
-    let long = options.0.is_empty() || std::env::var_os("TROCAR_SOAK").is_some();
+    let long = options.0.is_empty() || soak();
     if long { STEPS } else { 15 }
 }
 
@@ -78,7 +78,7 @@ fn every_task_and_option_has_the_same_bits_in_process_and_through_a_session() {
 fn company(task: &str) -> usize {
     let spec = Registry::builtin().spec(task, &Options::new()).unwrap();
     let grasps = spec.options.iter().any(|option| option.name == "grasp");
-    if grasps && std::env::var_os("TROCAR_SOAK").is_none() { 8 } else { 64 }
+    if grasps && !soak() { 8 } else { 64 }
 }
 
 /// The first processor that this process may use.

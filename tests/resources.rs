@@ -8,7 +8,7 @@ use trocar_client::{CallError, Client, ConnectError, SessionRequest};
 use trocar_proto::open_files::SESSION_FILES;
 
 use crate::harness::{
-    Process, Server, Watchdog, binary, client, client_command, eventually, unique_name,
+    Process, Server, Watchdog, binary, client, client_command, eventually, soak, unique_name,
 };
 use crate::namespaces::unshare;
 use crate::twin::Bystander;
@@ -30,7 +30,7 @@ fn assert_names(said: &str, parts: &[&str]) {
 
 #[test]
 fn a_client_that_opens_sessions_without_end_is_refused_and_others_go_on() {
-    let rounds = if std::env::var_os("TROCAR_SOAK").is_some() { 100 } else { 1 };
+    let rounds = if soak() { 100 } else { 1 };
     for files in [256, 1024, 4096] {
         let server = narrow(files);
         let mut took: Vec<_> = (0..rounds).map(|_| outdo_a_greedy_client(&server, files)).collect();
@@ -141,4 +141,37 @@ fn a_server_that_begins_in_little_shared_memory_says_so() {
         let room = ["No space left on device", "KiB of /dev/shm are free"];
         assert!(room.iter().any(|words| said.contains(words)), "{free} KiB: {said:?}");
     }
+}
+
+/// Lets so many clients open 50 sessions each and be killed; returns the server's memory after that, bytes.
+fn memory_after(server: &Server, clients: usize, files: usize) -> u64 {
+    for _ in 0..clients {
+        let mut fifty = client(server.name(), "fifty");
+        assert_eq!(fifty.line(), "ready");
+        fifty.kill();
+        eventually("its sessions are gone", || server.open_files() <= files);
+    }
+    // At least once a second, the server looks what it can give back.
+    std::thread::sleep(Duration::from_secs(2));
+    server.memory()
+}
+
+/// What a server keeps after a thousand sessions is all that it keeps after a hundred thousand.
+#[test]
+fn sessions_of_killed_clients_leave_no_memory_behind() {
+    let (looks, clients) = if soak() { (100, 20) } else { (3, 4) };
+    let server = Server::start();
+    // Once a client is connected, the server has opened all that it keeps open.
+    let _observer = server.connect();
+    let files = server.open_files();
+    let early = memory_after(&server, clients, files);
+    let later = (1..looks).map(|_| memory_after(&server, clients, files));
+    let growth = later.max().unwrap().saturating_sub(early);
+    let (first, all) = (50 * clients, 50 * clients * looks);
+    eprintln!(
+        "{} KiB after {first} sessions, at most {} KiB more after up to {all}",
+        early >> 10,
+        growth >> 10
+    );
+    assert!(growth <= 5 << 20, "{early} bytes, then {growth} more");
 }

@@ -21,6 +21,7 @@ use super::exporter::Exporter;
 use super::gallery::Gallery;
 use super::hall::{Hall, Seat};
 use super::handle::SessionHandle;
+use super::heap;
 use super::lease::{self, Census, Watch};
 use super::meter::Meter;
 use super::ports::{self, ControlPorts, Request};
@@ -307,8 +308,12 @@ impl Host {
             !alive || handle.has_ended()
         });
         self.ending.extend(over.map(|(_, handle)| handle));
+        let ending = self.ending.len();
         let ended = self.ending.extract_if(.., |handle| handle.has_ended());
         ended.for_each(SessionHandle::join);
+        if self.ending.len() < ending {
+            heap::give_back();
+        }
         self.take_stock();
         if census.deaths {
             self.ground.node.try_cleanup_dead_nodes();
