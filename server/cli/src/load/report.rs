@@ -203,12 +203,12 @@ impl Summary {
             );
         }
         let memory = self.server_memory_bytes.map_or("–".into(), output::mebibytes);
-        let slope = slope(&server.memory).map_or("–".into(), |slope| {
+        let slope = slope(&server.memory).map_or(String::new(), |slope| {
             // Per hour, in the unit of the other figure.
-            format!("{:+.1} MiB/h", slope * 3600.0 / f64::from(1 << 20))
+            format!(" changing by {:+.1} MiB/h,", slope * 3600.0 / f64::from(1 << 20))
         });
         eprintln!(
-            "server: CPU {}, memory {memory}, changing by {slope}; {} restarts",
+            "server: CPU {}, memory {memory},{slope} {} restarts",
             share(server.cpu_seconds, seconds),
             self.restarts
         );
@@ -238,10 +238,20 @@ fn jain(rates: &[f64]) -> f64 {
     if squares > 0.0 { sum * sum / (rates.len() as f64 * squares) } else { 0.0 }
 }
 
-/// The slope of the straight line through the later half of the points, by least squares: at first,
-/// everything grows.
+/// How long a run of a server takes to have all the memory that it keeps, s.
+const WARM_UP: f64 = 60.0;
+
+/// The shortest span from which a slope is told, s: the pages of one session more or less are no slope.
+const LEAST_SPAN: f64 = 30.0;
+
+/// The slope of the straight line through the points past [`WARM_UP`], by least squares, where they
+/// cover [`LEAST_SPAN`].
 fn slope(points: &[(f64, f64)]) -> Option<f64> {
-    let points = &points[points.len() / 2..];
+    let begin = points.first()?.0 + WARM_UP;
+    let points = &points[points.partition_point(|point| point.0 < begin)..];
+    if points.last()?.0 - begin < LEAST_SPAN {
+        return None;
+    }
     let count = points.len() as f64;
     let mean = |of: fn(&(f64, f64)) -> f64| points.iter().map(of).sum::<f64>() / count;
     let (x, y) = (mean(|point| point.0), mean(|point| point.1));
@@ -263,10 +273,16 @@ mod tests {
 
     #[test]
     fn growth_at_the_beginning_is_no_slope() {
-        let points = [(0.0, 0.0), (1.0, 50.0), (2.0, 100.0), (3.0, 100.0), (4.0, 100.0)];
-        assert_eq!(slope(&points), Some(0.0));
-        assert_eq!(slope(&[(0.0, 1.0), (1.0, 3.0), (2.0, 5.0), (3.0, 7.0)]), Some(2.0));
-        assert_eq!(slope(&points[..1]), None);
+        // From when on there are points, until when, and what grows until when, per second.
+        let grown = |from: u32, to: u32, until: u32| -> Vec<(f64, f64)> {
+            (from..to).map(|at| (at.into(), 2.0 * f64::from(at.min(until)))).collect()
+        };
+        assert_eq!(slope(&grown(0, 100, 60)), Some(0.0));
+        let steady = slope(&grown(0, 100, 100)).unwrap();
+        assert!((steady - 2.0).abs() < 1e-9, "{steady}");
+        // A server that was restarted has to warm up again.
+        assert_eq!(slope(&grown(200, 300, 260)), Some(0.0));
+        assert_eq!(slope(&grown(0, 80, 80)), None);
         assert_eq!(slope(&[]), None);
     }
 
