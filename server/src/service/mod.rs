@@ -172,16 +172,16 @@ pub enum ServeError {
         /// What failed.
         source: io::Error,
     },
-    /// Nobody can listen where metrics were to be had.
-    #[error("--metrics {address}: {source}")]
+    /// The server cannot listen where metrics were to be had.
+    #[error("--metrics {address}")]
     Metrics {
         /// Where that was.
         address: SocketAddr,
         /// What failed.
         source: io::Error,
     },
-    /// Nobody can listen where the viewer was to be had.
-    #[error("--view {address}: {source}")]
+    /// The server cannot listen where the viewer was to be had.
+    #[error("--view {address}")]
     View {
         /// Where that was.
         address: SocketAddr,
