@@ -33,6 +33,7 @@ fn main() -> Result<()> {
         "until-lost" => step_until_lost(server),
         "until-told" => step_until_told(server),
         "digest" => digest(server),
+        "faulted" => live_through_a_fault(server),
         "private" => use_private_server(),
         _ => bail!("unknown role {role}"),
     }
@@ -229,6 +230,13 @@ fn digest(server: &str) -> Result<()> {
     }
     say(&digest.text())?;
     await_end_of_input()
+}
+
+/// Waits for a line, so that what happens from then on can be disturbed; then lives as `digest` does, and closes all.
+fn live_through_a_fault(server: &str) -> Result<()> {
+    say("ready")?;
+    std::io::stdin().read_line(&mut String::new())?;
+    digest(server)
 }
 
 /// Opens a session on the private server of the process tree, and says which process serves it.

@@ -15,6 +15,7 @@
 //! | `reconnect.rs` | sessions that survive the loss of their server |
 //! | `operation.rs` | quotas, metrics, logs, an end in order |
 //! | `view.rs` | the live viewer |
+//! | `faults.rs` | calls of the kernel fail, one after the other |
 //! | `fuzz.rs` | hostile bytes sent to a running server |
 //! | `namespaces.rs` | server and client in separate process namespaces |
 //! | `dependencies.rs` | who may depend on what |
@@ -25,6 +26,7 @@
 
 mod conformance;
 mod dependencies;
+mod faults;
 mod fuzz;
 mod harness;
 mod images;

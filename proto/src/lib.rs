@@ -7,6 +7,7 @@
 //! | [`bell`] | what tells a client that a reply is there |
 //! | [`sleep`] | threads that sleep until somebody wakes them up |
 //! | [`vigil`] | waiting for a message awake |
+//! | [`cause`] | why an operation of the transport failed, in its own words |
 //! | [`control`] | rare messages: hello, tasks, sessions, status (serde + bincode, at most 64 KiB) |
 //! | [`wire`] | frequent messages: step and reset as plain arrays in shared memory |
 //! | [`spec`] | what a task looks like: actions, observations, goals, options |
@@ -33,6 +34,7 @@
 //! ```
 
 pub mod bell;
+pub mod cause;
 pub mod control;
 pub mod door;
 pub mod endpoint;

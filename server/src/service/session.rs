@@ -481,7 +481,13 @@ impl Guest for Session {
         }
         // Asked before a request is looked for: what arrived by then is answered.
         let finish = self.shared.finish.load(Ordering::Acquire);
-        match self.ports.port.receive() {
+        let received = self.ports.port.receive();
+        if self.ports.have_missed() {
+            self.shared.reason.get_or_init(|| "unreachable");
+            self.end();
+            return Attended::Over;
+        }
+        match received {
             Ok(Some(request)) => {
                 let start = Instant::now();
                 let (steps, slept) = self.answer(&request, start, turn);
