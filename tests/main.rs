@@ -16,6 +16,7 @@
 //! | `operation.rs` | quotas, metrics, logs, an end in order |
 //! | `view.rs` | the live viewer |
 //! | `faults.rs` | calls of the kernel fail, one after the other |
+//! | `filled.rs` | another program fills shared memory, at any moment |
 //! | `fuzz.rs` | hostile bytes sent to a running server |
 //! | `namespaces.rs` | server and client in separate process namespaces |
 //! | `dependencies.rs` | who may depend on what |
@@ -27,6 +28,7 @@
 mod conformance;
 mod dependencies;
 mod faults;
+mod filled;
 mod fuzz;
 mod harness;
 mod images;

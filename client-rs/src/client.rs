@@ -95,6 +95,7 @@ impl Client {
         loop {
             match membership.endpoint().look().map_err(shared_memory)? {
                 ServerState::Running { epoch, .. } => {
+                    Link::check_room().map_err(ConnectError::Transport)?;
                     let endpoint = membership.endpoint().clone();
                     let joined = endpoint.join().map_err(shared_memory)?;
                     match Self::hello(joined, epoch, language, origin.clone()) {

@@ -19,6 +19,7 @@ use trocar_proto::door::Door;
 use trocar_proto::endpoint::{
     self, CLIENT_BYTES, Endpoint, Membership, Node, ServerState, Transport,
 };
+use trocar_proto::missing_page::guarded;
 use trocar_proto::open_files::{CLIENT_FILES, OpenFiles};
 use trocar_proto::sleep::Woken;
 use trocar_proto::vigil::Vigil;
@@ -94,6 +95,11 @@ fn io(what: &'static str) -> impl FnOnce(std::io::Error) -> CallError {
     move |error| CallError::Transport(format!("{what}: {error}"))
 }
 
+#[allow(clippy::needless_pass_by_value)] // for map_err
+fn shared_memory(error: std::io::Error) -> CallError {
+    CallError::Transport(error.to_string())
+}
+
 /// Why a port could not be connected to the server, if it could not: the transport tries that once, and goes on.
 #[derive(Debug, Clone, Default)]
 struct Missed(Arc<Mutex<Option<String>>>);
@@ -135,11 +141,18 @@ pub(crate) struct Link {
 }
 
 impl Link {
+    /// Whether this process can have another connection at all; else, why not.
+    pub(crate) fn check_room() -> Result<(), String> {
+        Endpoint::check_free("a client", CLIENT_BYTES).map_err(|error| error.to_string())?;
+        OpenFiles::now().check("a client", CLIENT_FILES)
+    }
+
     /// Opens the control port of the run `epoch` of the server.
     pub(crate) fn open(membership: Membership, epoch: u64) -> Result<Self, CallError> {
-        let shared_memory = |error: std::io::Error| CallError::Transport(error.to_string());
-        Endpoint::check_free("a client", CLIENT_BYTES).map_err(shared_memory)?;
-        OpenFiles::now().check("a client", CLIENT_FILES).map_err(CallError::Transport)?;
+        guarded(|| Self::try_open(membership, epoch)).map_err(shared_memory)?
+    }
+
+    fn try_open(membership: Membership, epoch: u64) -> Result<Self, CallError> {
         let node = membership.node().map_err(transport("node"))?;
         let missed = Missed::default();
         let name = service_name(&endpoint::control_service(epoch));
@@ -327,6 +340,14 @@ impl DataPort {
         info: &SessionInfo,
         request_bytes: usize,
     ) -> Result<Self, CallError> {
+        guarded(|| Self::try_open(link, info, request_bytes)).map_err(shared_memory)?
+    }
+
+    fn try_open(
+        link: Arc<Owned<Link>>,
+        info: &SessionInfo,
+        request_bytes: usize,
+    ) -> Result<Self, CallError> {
         cause::forget();
         let (epoch, session) = (info.epoch, info.session);
         let missed = Missed::default();
@@ -349,9 +370,7 @@ impl DataPort {
         missed.check()?;
         let endpoint = link.membership.endpoint();
         let bells = Bells::open(endpoint, epoch, session).map_err(io("session bells"))?;
-        endpoint
-            .allocate("the session")
-            .map_err(|error| CallError::Transport(error.to_string()))?;
+        endpoint.allocate("the session").map_err(shared_memory)?;
         let vigil = Vigil::new();
         let held = Arc::new(());
         Ok(Self {

@@ -12,6 +12,7 @@ use trocar_proto::control::{
 };
 use trocar_proto::door::Door;
 use trocar_proto::endpoint::{Endpoint, LEAST_WAIT, MAX_CLIENTS, Node, ServerLock};
+use trocar_proto::missing_page::guarded;
 use trocar_proto::open_files::OpenFiles;
 use trocar_proto::wire::Header;
 use trocar_proto::{Code, Rejection};
@@ -45,7 +46,8 @@ pub(super) fn run(
     ready: impl FnOnce(),
 ) -> Result<(), ServeError> {
     let epoch = lock.epoch();
-    let ports = ControlPorts::open(node, epoch)?;
+    let ports =
+        guarded(|| ControlPorts::open(node, epoch)).map_err(internal("shared memory"))??;
     let door = Door::make(&endpoint, epoch).map_err(internal("door"))?;
     endpoint.allocate("a server").map_err(internal("shared memory"))?;
     let hall =
@@ -311,7 +313,8 @@ impl Host {
         ended.for_each(SessionHandle::join);
         self.take_stock();
         if census.deaths {
-            self.ground.node.try_cleanup_dead_nodes();
+            // What a client left unfinished may have no memory.
+            guarded(|| self.ground.node.try_cleanup_dead_nodes()).ok();
         }
         if let Some(why) = watch.verdict(census.clients()) {
             tracing::info!(why, "the server ends");

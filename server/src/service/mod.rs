@@ -59,6 +59,7 @@ use std::time::{Duration, Instant};
 use trocar_proto::bell::Bells;
 use trocar_proto::cause;
 use trocar_proto::endpoint::{Endpoint, Membership, ServerLock, ServerName, ServerState};
+use trocar_proto::missing_page::guarded;
 use trocar_proto::{Code, Rejection};
 
 use self::unfinished::Remover;
@@ -220,7 +221,8 @@ pub fn serve(
     Endpoint::check_free("a server", FIRST_BYTES).map_err(folder)?;
     let _remover =
         Remover::start(endpoint.clone()).map_err(|error| ServeError::Threads(error.to_string()))?;
-    let node = Arc::new(membership.node().map_err(internal("node"))?);
+    let node = guarded(|| membership.node()).map_err(folder)?;
+    let node = Arc::new(node.map_err(internal("node"))?);
     // A predecessor may have died while its clients live: what it left goes first. So does what
     // nobody uses under other names: those of private servers are not used again.
     node.try_cleanup_dead_nodes();

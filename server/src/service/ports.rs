@@ -18,6 +18,7 @@ use trocar_proto::bell::Bells;
 use trocar_proto::cause;
 use trocar_proto::control::{self, ControlReply, MAX_MESSAGE};
 use trocar_proto::endpoint::{self, Endpoint, MAX_CLIENTS, Node, Transport};
+use trocar_proto::missing_page::guarded;
 use trocar_proto::open_files::{OpenFiles, SESSION_FILES};
 use trocar_proto::wire::{Header, MAX_HELD_REPLIES, MAX_IN_FLIGHT};
 
@@ -152,7 +153,9 @@ impl ControlPorts {
     /// The next request.
     pub(super) fn receive(&self) -> Option<Request> {
         // The transport drops requests of clients that it is connected to in one direction only.
-        self.port.update_connections().ok();
+        if guarded(|| self.port.update_connections().ok()).is_err() {
+            tracing::warn!("a client that had no shared memory could not be connected");
+        }
         if self.missed.take() {
             self.look_again();
         }
@@ -161,13 +164,17 @@ impl ControlPorts {
 
     /// Lets the port connect to the clients that it has missed, since another one comes and goes.
     fn look_again(&self) {
-        let passing = self.service.client_builder().initial_max_slice_len(1).create();
-        if let Err(error) = &passing {
-            let cause = cause::explain(error);
+        let looked = guarded(|| {
+            let passing = self.service.client_builder().initial_max_slice_len(1).create();
+            let passing = passing.map_err(|error| cause::explain(&error))?;
+            self.port.update_connections().ok();
+            drop(passing);
+            Ok::<_, String>(())
+        });
+        if let Err(cause) = looked.map_err(|error| error.to_string()).flatten() {
             tracing::warn!(cause, "clients that were missed are looked for later");
             self.missed.0.store(true, Ordering::Relaxed);
         }
-        self.port.update_connections().ok();
     }
 }
 
@@ -197,6 +204,10 @@ pub(super) fn reply(request: &Request, reply: &ControlReply) {
         tracing::warn!(error, "a control reply was not delivered");
     }
 }
+
+/// The client of a session cannot be connected.
+#[derive(Debug)]
+pub(super) struct Unreachable;
 
 /// Where the requests of one session arrive, and what tells its client of replies.
 pub(super) struct DataPorts {
@@ -246,9 +257,23 @@ impl DataPorts {
         Ok(Self { port, bells, missed })
     }
 
-    /// Whether its client could not be connected since this was last asked: it would wait for replies in vain.
-    pub(super) fn have_missed(&self) -> bool {
-        self.missed.take()
+    /// The next request; an error where its client could not be connected, which would wait for replies in vain.
+    pub(super) fn receive(&self) -> Result<Option<Request>, Unreachable> {
+        let received = guarded(|| self.port.receive());
+        if self.missed.take() {
+            return Err(Unreachable);
+        }
+        match received {
+            Ok(Ok(request)) => Ok(request),
+            Ok(Err(error)) => {
+                tracing::warn!(?error, "a request was not received");
+                Ok(None)
+            }
+            Err(error) => {
+                tracing::warn!(%error, "a client could not be connected");
+                Err(Unreachable)
+            }
+        }
     }
 }
 
