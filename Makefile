@@ -95,7 +95,8 @@ bits: ## server/tests/fixtures/bits.bin: records its episodes anew; only when ph
 # ---- Checking ----
 
 .PHONY: test
-test: lint test-rust test-python test-wheels ## * all that CI runs: lints, Rust, Python, wheels
+test: lint test-rust test-python test-wheels ## * all that CI runs: lints, Rust, Python, wheels; test-faults where strace is
+	@if command -v strace > /dev/null; then $(MAKE) test-faults; else echo 'left out: test-faults needs strace (apt install strace)'; fi
 
 .PHONY: lint
 lint: lint-rust lint-python lint-viewer ## * formatting, clippy, ruff, generated assets
@@ -117,6 +118,12 @@ lint-viewer:
 .PHONY: test-rust
 test-rust: ## Rust: unit, task suite, command, multi-process (reduced counts)
 	TROCAR_BINARY=$(TARGET)/debug/trocar $(CARGO) test $(RUST)
+
+# Every 17th call; in `make soak` all of them.
+.PHONY: test-faults
+test-faults: ## calls of the kernel fail, one after the other, by strace, which it needs (apt install strace)
+	$(CARGO) build $(RUST) --bin trocar
+	TROCAR_BINARY=$(TARGET)/debug/trocar $(CARGO) test $(RUST) --test trocar -- --ignored --nocapture faults::
 
 .PHONY: test-python
 test-python: develop ## * Python with the newest Gymnasium: types, stubs, tests
@@ -165,8 +172,9 @@ test-valgrind: ## memory errors of server, client and shared memory, by valgrind
 	$(CARGO) test --locked -p trocar-tests --test allocations
 
 .PHONY: soak
-soak: develop ## * the long bars: 1,000,000 fuzzed messages, long multi-process loops
+soak: develop ## * the long bars: 1,000,000 fuzzed messages, long multi-process loops, every failing call; needs strace
 	TROCAR_SOAK=1 TROCAR_BINARY=$(TARGET)/debug/trocar $(CARGO) test $(RUST) -- --nocapture
+	TROCAR_SOAK=1 $(MAKE) test-faults
 
 .PHONY: bench
 bench: develop ## * all steps per second (trocar bench); criterion: kinematics, steps, snapshots, a round trip

@@ -25,7 +25,7 @@ fn main() -> Result<()> {
         "open" => open_for_ever(server),
         "churn" => churn(server),
         "fill" => fill(server),
-        "fill-late" => fill_after_opening(server),
+        "open-anyway" => open_anyway(server),
         "greedy" => open_without_end(server),
         "fifty" => open_fifty(server),
         "step" => step_for_ever(server),
@@ -34,6 +34,7 @@ fn main() -> Result<()> {
         "until-lost" => step_until_lost(server),
         "until-told" => step_until_told(server),
         "digest" => digest(server),
+        "faulted" => live_through_a_fault(server),
         "private" => use_private_server(),
         _ => bail!("unknown role {role}"),
     }
@@ -98,6 +99,30 @@ fn fill(server: &str) -> Result<()> {
     say("all stepped")
 }
 
+/// Connects, opens, steps and closes until its input ends, whatever is refused; prints how often that went well and how
+/// often it did not, and the errors that do not name shared memory.
+fn open_anyway(server: &str) -> Result<()> {
+    say("ready")?;
+    let over = std::thread::spawn(await_end_of_input);
+    let (mut stepped, mut refused) = (0, 0);
+    while !over.is_finished() {
+        match open(server).and_then(|mut session| {
+            let actions = vec![0.5; session.envs() * session.spec().action_dim()];
+            Ok(session.step(&actions)?.steps().len())
+        }) {
+            Ok(_) => stepped += 1,
+            Err(error) => {
+                refused += 1;
+                let said = format!("{error:#}");
+                if !["/dev/shm", "space"].iter().any(|name| said.contains(name)) {
+                    say(&said)?;
+                }
+            }
+        }
+    }
+    say(&format!("{stepped} {refused}"))
+}
+
 /// Opens sessions until one is refused, prints why, and keeps them.
 fn open_without_end(server: &str) -> Result<()> {
     let client = Client::connect(server)?;
@@ -124,32 +149,6 @@ fn open_fifty(server: &str) -> Result<()> {
     }
     say("ready")?;
     await_end_of_input()
-}
-
-/// Opens two sessions, steps one of them, fills `/dev/shm` to the last page, and steps both; then says why another
-/// session is refused and, once there is room, opens it.
-fn fill_after_opening(server: &str) -> Result<()> {
-    let client = connect_when_there(server)?;
-    let request = SessionRequest::new("NeedleReach-v0").envs(8);
-    let (mut used, mut fresh) = (client.open(&request)?, client.open(&request)?);
-    let actions = vec![0.5; used.envs() * used.spec().action_dim()];
-    used.reset()?;
-    used.step(&actions)?;
-    let mut filler = std::fs::File::create("/dev/shm/filler")?;
-    while filler.write(&[0; 4096]).is_ok() {}
-    for session in [&mut used, &mut fresh] {
-        session.reset()?;
-        session.step(&actions)?;
-    }
-    say("stepped")?;
-    let refused = client.open(&request).err().map(|error| error.to_string());
-    say(&refused.unwrap_or_default())?;
-    let refused = Client::connect(server).err().map(|error| error.to_string());
-    say(&refused.unwrap_or_default())?;
-    drop(filler);
-    std::fs::remove_file("/dev/shm/filler")?;
-    client.open(&request)?.reset()?;
-    say("opened")
 }
 
 /// Connects to a server that may be starting.
@@ -243,6 +242,13 @@ fn digest(server: &str) -> Result<()> {
     }
     say(&digest.text())?;
     await_end_of_input()
+}
+
+/// Waits for a line, so that what happens from then on can be disturbed; then lives as `digest` does, and closes all.
+fn live_through_a_fault(server: &str) -> Result<()> {
+    say("ready")?;
+    std::io::stdin().read_line(&mut String::new())?;
+    digest(server)
 }
 
 /// Opens a session on the private server of the process tree, and says which process serves it.

@@ -15,6 +15,8 @@
 //! | `reconnect.rs` | sessions that survive the loss of their server |
 //! | `operation.rs` | quotas, metrics, logs, an end in order |
 //! | `view.rs` | the live viewer |
+//! | `faults.rs` | calls of the kernel fail, one after the other |
+//! | `filled.rs` | another program fills shared memory, at any moment |
 //! | `fuzz.rs` | hostile bytes sent to a running server |
 //! | `rubbish.rs` | rubbish in what a server shares with its clients |
 //! | `namespaces.rs` | server and client in separate process namespaces |
@@ -26,6 +28,8 @@
 
 mod conformance;
 mod dependencies;
+mod faults;
+mod filled;
 mod fuzz;
 mod harness;
 mod images;

@@ -7,9 +7,7 @@ use rustix::process::Signal;
 use trocar_client::{CallError, Client, ConnectError, SessionRequest};
 use trocar_proto::open_files::SESSION_FILES;
 
-use crate::harness::{
-    Process, Server, Watchdog, binary, client, client_command, eventually, soak, unique_name,
-};
+use crate::harness::{Server, Watchdog, binary, client, eventually, soak, unique_name};
 use crate::namespaces::unshare;
 use crate::twin::Bystander;
 
@@ -105,24 +103,8 @@ fn clients_of_a_server_that_stands_still_are_told_and_go_on_with_it() {
 fn with_shared_memory(kibibytes: u32, script: &str, name: &str) -> Option<Command> {
     let mut command = unshare()?;
     let mount = format!("mount -t tmpfs -o size={kibibytes}k tmpfs /dev/shm || exit 1; {script}");
-    let client = client_command(name, "fill-late");
-    command.args(["sh", "-c", &mount]).arg(binary()).arg(client.get_program()).arg(name);
+    command.args(["sh", "-c", &mount]).arg(binary()).arg(name);
     Some(command)
-}
-
-#[test]
-fn what_a_session_was_promised_is_its_own_when_shared_memory_is_filled() {
-    let _watchdog = Watchdog::start();
-    let script = "\"$0\" serve --name \"$2\" & \"$1\" fill-late \"$2\"; code=$?; \
-                  \"$0\" stop --name \"$2\" && wait && ls -A /dev/shm && exit $code";
-    let Some(mut command) = with_shared_memory(16384, script, &unique_name()) else { return };
-    let mut process = Process::spawn(&mut command);
-    assert_eq!(process.line(), "stepped");
-    assert_names(&process.line(), &["/dev/shm", "the session needs", "--shm-size"]);
-    assert_names(&process.line(), &["0 KiB of /dev/shm", "a client needs", "--shm-size"]);
-    assert_eq!(process.line(), "opened");
-    let (status, rest) = process.finish();
-    assert!(status.success() && rest.trim().is_empty(), "{status}: {rest}");
 }
 
 #[test]
@@ -131,7 +113,7 @@ fn a_server_that_begins_in_little_shared_memory_says_so() {
     for free in [0, 32, 64, 1024] {
         let size = 8192;
         let script = format!(
-            "head -c {} /dev/zero > /dev/shm/filler; \"$0\" serve --name \"$2\" 2>&1; echo $?",
+            "head -c {} /dev/zero > /dev/shm/filler; \"$0\" serve --name \"$1\" 2>&1; echo $?",
             (size - free) * 1024
         );
         let Some(mut command) = with_shared_memory(size, &script, &unique_name()) else { return };

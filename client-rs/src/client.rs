@@ -93,8 +93,9 @@ impl Client {
         let start = Instant::now();
         let mut pause = Duration::from_millis(1);
         loop {
-            match membership.endpoint().server_state() {
+            match membership.endpoint().look().map_err(shared_memory)? {
                 ServerState::Running { epoch, .. } => {
+                    Link::check_room().map_err(ConnectError::Transport)?;
                     let endpoint = membership.endpoint().clone();
                     let joined = endpoint.join().map_err(shared_memory)?;
                     match Self::hello(joined, epoch, language, origin.clone()) {
@@ -238,7 +239,8 @@ impl Origin {
         let server = match self {
             Self::Named(name) => {
                 let endpoint = Endpoint::new(name);
-                if !matches!(endpoint.server_state(), ServerState::Running { .. }) {
+                let state = endpoint.look().map_err(shared_memory)?;
+                if !matches!(state, ServerState::Running { .. }) {
                     return Err(ConnectError::NoServer { name: name.to_string() });
                 }
                 let membership = endpoint.join().map_err(shared_memory)?;

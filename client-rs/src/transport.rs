@@ -8,15 +8,18 @@ use iceoryx2::pending_response::PendingResponse;
 use iceoryx2::port::ReceiveError;
 use iceoryx2::port::client::Client as ClientPort;
 use iceoryx2::port::notifier::Notifier;
+use iceoryx2::port::{DegradationAction, DegradationCause, DegradationInfo};
 use iceoryx2::prelude::{BackpressureStrategy, EventId, PortFactory, ServiceName};
 use iceoryx2::response::Response;
 use iceoryx2::service::port_factory::client::ClientCreateError;
 use trocar_proto::bell::Bells;
+use trocar_proto::cause;
 use trocar_proto::control::{self, ControlReply, ControlRequest, MAX_MESSAGE, SessionInfo};
 use trocar_proto::door::Door;
 use trocar_proto::endpoint::{
     self, CLIENT_BYTES, Endpoint, Membership, Node, ServerState, Transport,
 };
+use trocar_proto::missing_page::guarded;
 use trocar_proto::open_files::{CLIENT_FILES, OpenFiles};
 use trocar_proto::sleep::Woken;
 use trocar_proto::vigil::Vigil;
@@ -83,9 +86,43 @@ pub(crate) struct Pending {
 
 type Port = ClientPort<Transport, [u8], Header, [u8], Header>;
 
-/// Names an operation of the transport that failed.
+/// Names an operation of the transport that failed, and why it did.
 pub(crate) fn transport<E: std::fmt::Debug>(what: &'static str) -> impl FnOnce(E) -> CallError {
-    move |error| CallError::Transport(format!("{what}: {error:?}"))
+    move |error| CallError::Transport(format!("{what}: {}", cause::explain(&error)))
+}
+
+fn io(what: &'static str) -> impl FnOnce(std::io::Error) -> CallError {
+    move |error| CallError::Transport(format!("{what}: {error}"))
+}
+
+#[allow(clippy::needless_pass_by_value)] // for map_err
+fn shared_memory(error: std::io::Error) -> CallError {
+    CallError::Transport(error.to_string())
+}
+
+/// Why a port could not be connected to the server, if it could not: the transport tries that once, and goes on.
+#[derive(Debug, Clone, Default)]
+struct Missed(Arc<Mutex<Option<String>>>);
+
+impl Missed {
+    /// What the transport calls there.
+    fn handler(
+        &self,
+    ) -> impl Fn(DegradationCause, &DegradationInfo) -> DegradationAction + Send + use<> {
+        let missed = self.clone();
+        move |_, _| {
+            let cause = cause::take().unwrap_or_default();
+            *missed.0.lock().unwrap_or_else(PoisonError::into_inner) = Some(cause);
+            DegradationAction::Ignore
+        }
+    }
+
+    fn check(&self) -> Result<(), CallError> {
+        match self.0.lock().unwrap_or_else(PoisonError::into_inner).take() {
+            Some(cause) => Err(CallError::Transport(format!("connection to the server: {cause}"))),
+            None => Ok(()),
+        }
+    }
 }
 
 /// The connection of one client: its participant of the transport and the control port.
@@ -94,6 +131,7 @@ pub(crate) struct Link {
     // Declaration order is drop order: ports before the node, the node before the membership.
     /// Threads that share a client take turns: one control request at a time is in flight.
     control: Mutex<Port>,
+    missed: Missed,
     bell: Notifier<Transport>,
     door: Door,
     pulse: Mutex<Pulse>,
@@ -103,12 +141,20 @@ pub(crate) struct Link {
 }
 
 impl Link {
+    /// Whether this process can have another connection at all; else, why not.
+    pub(crate) fn check_room() -> Result<(), String> {
+        Endpoint::check_free("a client", CLIENT_BYTES).map_err(|error| error.to_string())?;
+        OpenFiles::now().check("a client", CLIENT_FILES)
+    }
+
     /// Opens the control port of the run `epoch` of the server.
     pub(crate) fn open(membership: Membership, epoch: u64) -> Result<Self, CallError> {
-        let shared_memory = |error: std::io::Error| CallError::Transport(error.to_string());
-        Endpoint::check_free("a client", CLIENT_BYTES).map_err(shared_memory)?;
-        OpenFiles::now().check("a client", CLIENT_FILES).map_err(CallError::Transport)?;
+        guarded(|| Self::try_open(membership, epoch)).map_err(shared_memory)?
+    }
+
+    fn try_open(membership: Membership, epoch: u64) -> Result<Self, CallError> {
         let node = membership.node().map_err(transport("node"))?;
+        let missed = Missed::default();
         let name = service_name(&endpoint::control_service(epoch));
         let service = node
             .service_builder(&name)
@@ -121,6 +167,8 @@ impl Link {
             .client_builder()
             .initial_max_slice_len(MAX_MESSAGE)
             .override_request_preallocation(|_| CONTROL_REQUESTS)
+            .set_request_degradation_handler(missed.handler())
+            .set_response_degradation_handler(missed.handler())
             // Else a server that does not take an earlier request would be waited for without end.
             .backpressure_strategy(BackpressureStrategy::DiscardData)
             .create()
@@ -132,14 +180,16 @@ impl Link {
                 }
                 error => transport("control port")(error),
             })?;
+        missed.check()?;
         let event =
             node.service_builder(&name).event().open().map_err(transport("control bell"))?;
         let bell = event.notifier_builder().create().map_err(transport("control bell port"))?;
-        let door = Door::open(membership.endpoint(), epoch).map_err(transport("door"))?;
+        let door = Door::open(membership.endpoint(), epoch).map_err(io("door"))?;
         membership.endpoint().allocate("a client").map_err(shared_memory)?;
         let now = Instant::now();
         let pulse = Mutex::new(Pulse { count: door.pulse(), since: now, looked: now });
-        Ok(Self { control: Mutex::new(control), bell, door, pulse, node, membership, epoch })
+        let control = Mutex::new(control);
+        Ok(Self { control, missed, bell, door, pulse, node, membership, epoch })
     }
 
     /// The number that names this participant to the server.
@@ -159,7 +209,9 @@ impl Link {
 
     fn check(&self, may_end: bool) -> Result<(), CallError> {
         let endpoint = self.membership.endpoint();
-        let closed = match endpoint.server_state() {
+        // Where it cannot be looked for, this process lacks something. Whether the server goes on, its pulse tells.
+        let Ok(state) = endpoint.look() else { return Ok(()) };
+        let closed = match state {
             ServerState::Running { epoch, .. } if epoch == self.epoch => return Ok(()),
             ServerState::Ending { epoch, .. } if may_end && epoch == self.epoch => return Ok(()),
             ServerState::Ending { epoch, .. } | ServerState::Closed { epoch } => {
@@ -213,6 +265,7 @@ impl Link {
         self.check_server()?;
         let control = self.control.lock().unwrap_or_else(PoisonError::into_inner);
         let start = Instant::now();
+        cause::forget();
         let pending = loop {
             let mut request =
                 control.loan_slice(bytes.len().max(1)).map_err(transport("control request"))?;
@@ -222,6 +275,7 @@ impl Link {
             if pending.number_of_server_connections() > 0 {
                 break pending;
             }
+            self.missed.check()?;
             // Its port is not there yet, or it has not taken an earlier request, whose sender gave up.
             self.check_server()?;
             self.check_pulse(purpose, start)?;
@@ -286,7 +340,17 @@ impl DataPort {
         info: &SessionInfo,
         request_bytes: usize,
     ) -> Result<Self, CallError> {
+        guarded(|| Self::try_open(link, info, request_bytes)).map_err(shared_memory)?
+    }
+
+    fn try_open(
+        link: Arc<Owned<Link>>,
+        info: &SessionInfo,
+        request_bytes: usize,
+    ) -> Result<Self, CallError> {
+        cause::forget();
         let (epoch, session) = (info.epoch, info.session);
+        let missed = Missed::default();
         let service = link
             .node
             .service_builder(&service_name(&endpoint::data_service(epoch, session)))
@@ -299,13 +363,14 @@ impl DataPort {
             .client_builder()
             .initial_max_slice_len(request_bytes)
             .backpressure_strategy(BackpressureStrategy::DiscardData)
+            .set_request_degradation_handler(missed.handler())
+            .set_response_degradation_handler(missed.handler())
             .create()
             .map_err(transport("data port"))?;
+        missed.check()?;
         let endpoint = link.membership.endpoint();
-        let bells = Bells::open(endpoint, epoch, session).map_err(transport("session bells"))?;
-        endpoint
-            .allocate("the session")
-            .map_err(|error| CallError::Transport(error.to_string()))?;
+        let bells = Bells::open(endpoint, epoch, session).map_err(io("session bells"))?;
+        endpoint.allocate("the session").map_err(shared_memory)?;
         let vigil = Vigil::new();
         let held = Arc::new(());
         Ok(Self {
@@ -328,6 +393,7 @@ impl DataPort {
         header: Header,
         fill: impl FnOnce(&mut [u8]),
     ) -> Result<Pending, CallError> {
+        cause::forget();
         let seen = self.bells.reply().count();
         let mut request = self.port.loan_slice(self.request_bytes).map_err(transport("request"))?;
         fill(request.payload_mut());

@@ -24,9 +24,11 @@ use std::time::{Duration, Instant};
 
 use iceoryx2::config::Config;
 use iceoryx2::node::NodeBuilder;
-use iceoryx2::prelude::{FileName, LogLevel, SemanticString, SignalHandlingMode, ipc_threadsafe};
+use iceoryx2::prelude::{FileName, SemanticString, SignalHandlingMode, ipc_threadsafe};
 use rustix::fs::{FallocateFlags, FlockOperation, fallocate, flock};
+use rustix::io::{Errno, retry_on_intr};
 
+use crate::cause;
 use crate::error::{Code, Rejection};
 
 /// Where shared memory lives on Linux.
@@ -150,14 +152,14 @@ impl Endpoint {
                 _ => {}
             }
             let Some(membership) = self.open_folder()? else { continue };
-            if flock(&membership.lock, FlockOperation::NonBlockingLockExclusive).is_ok() {
+            if try_lock(&membership.lock, FlockOperation::NonBlockingLockExclusive)? {
                 if !membership.is_current() {
                     continue;
                 }
                 membership.endpoint.remove_contents()?;
             }
             let waited = Instant::now();
-            while flock(&membership.lock, FlockOperation::NonBlockingLockShared).is_err() {
+            while !try_lock(&membership.lock, FlockOperation::NonBlockingLockShared)? {
                 if waited.elapsed() > JOINING {
                     let why = "another process has been removing the server's folder for too long";
                     return Err(io::Error::new(io::ErrorKind::TimedOut, why));
@@ -194,16 +196,28 @@ impl Endpoint {
         Ok(files)
     }
 
-    /// Whether a server runs, and which: one non-blocking lock, a few microseconds.
+    /// As [`Self::look`]; where that fails, no server is there.
     pub fn server_state(&self) -> ServerState {
-        let Ok(file) = File::open(&self.server_lock) else { return ServerState::Absent };
-        let locked = flock(&file, FlockOperation::NonBlockingLockShared).is_err();
-        match (locked, read_words(&file)) {
+        self.look().unwrap_or(ServerState::Absent)
+    }
+
+    /// Whether a server runs, and which: one non-blocking lock, a few microseconds. An error where that cannot be found
+    /// out, since this process may open no more files, for example.
+    pub fn look(&self) -> io::Result<ServerState> {
+        let file = match File::open(&self.server_lock) {
+            Ok(file) => file,
+            Err(error) if error.kind() == io::ErrorKind::NotFound => {
+                return Ok(ServerState::Absent);
+            }
+            Err(error) => return Err(error),
+        };
+        let locked = !try_lock(&file, FlockOperation::NonBlockingLockShared)?;
+        Ok(match (locked, read_words(&file)?) {
             (true, [pid, epoch, CLOSED]) => ServerState::Ending { pid: pid as u32, epoch },
             (false, [_, epoch, CLOSED]) => ServerState::Closed { epoch },
             (true, [pid, epoch, _]) => ServerState::Running { pid: pid as u32, epoch },
             (false, _) => ServerState::Absent,
-        }
+        })
     }
 
     /// Everything that exists under this name: the folder and pieces of shared memory.
@@ -247,9 +261,10 @@ impl Endpoint {
             };
             let promised = metadata.len().saturating_sub(metadata.blocks() * 512);
             if promised > 0
-                && let Err(error) = fallocate(&file, FallocateFlags::empty(), 0, metadata.len())
+                && let Err(error) =
+                    retry_on_intr(|| fallocate(&file, FallocateFlags::empty(), 0, metadata.len()))
             {
-                if error != rustix::io::Errno::NOSPC {
+                if error != Errno::NOSPC {
                     return Err(error.into());
                 }
                 missing += promised;
@@ -260,6 +275,21 @@ impl Endpoint {
         }
         Self::check_free(what, missing)?;
         Err(io::ErrorKind::StorageFull.into())
+    }
+
+    /// The pieces that a process has begun and not finished: until then, the transport lets nobody read them. Each with
+    /// the number of its file.
+    pub fn unfinished(&self) -> io::Result<Vec<(PathBuf, u64)>> {
+        const OWNER_READS: u32 = 0o400;
+        let mut paths = Vec::new();
+        for path in self.segments()? {
+            // Removed meanwhile, it is nobody's concern.
+            let Ok(metadata) = fs::metadata(&path) else { continue };
+            if metadata.mode() & OWNER_READS == 0 {
+                paths.push((path, metadata.ino()));
+            }
+        }
+        Ok(paths)
     }
 
     /// Shared memory that the server and its clients really take, bytes: pages count once they
@@ -357,8 +387,8 @@ impl Membership {
             .truncate(false)
             .mode(0o600)
             .open(&self.endpoint.server_lock)?;
-        if flock(&file, FlockOperation::NonBlockingLockExclusive).is_err() {
-            return Ok(Err(read_words(&file)[0] as u32));
+        if !try_lock(&file, FlockOperation::NonBlockingLockExclusive)? {
+            return Ok(Err(read_words(&file)?[0] as u32));
         }
         let lock = ServerLock { file, epoch };
         lock.write(0)?;
@@ -368,7 +398,8 @@ impl Membership {
     /// Creates this process's participant of the transport. Only a server removes the resources
     /// of dead participants, after it has taken note of their death.
     pub fn node(&self) -> Result<Node, iceoryx2::node::NodeCreationFailure> {
-        iceoryx2::prelude::set_log_level_from_env_or(LogLevel::Fatal);
+        cause::keep();
+        cause::forget();
         NodeBuilder::new()
             .config(&self.config())
             .signal_handling_mode(SignalHandlingMode::Disabled)
@@ -392,7 +423,7 @@ impl Membership {
     /// Removes everything if nobody else is there; returns whether it did.
     fn leave(&self) -> io::Result<bool> {
         if self.process != std::process::id()
-            || flock(&self.lock, FlockOperation::NonBlockingLockExclusive).is_err()
+            || !try_lock(&self.lock, FlockOperation::NonBlockingLockExclusive)?
         {
             return Ok(false);
         }
@@ -473,13 +504,23 @@ impl ServerLock {
 }
 
 /// The three words of a lock file: process id, epoch, closed. Zeros where it is shorter.
-fn read_words(file: &File) -> [u64; 3] {
+fn read_words(file: &File) -> io::Result<[u64; 3]> {
     let mut bytes = [0; 24];
     match file.read_exact_at(&mut bytes, 0) {
-        Ok(()) => [0, 8, 16].map(|at| {
+        Ok(()) => Ok([0, 8, 16].map(|at| {
             u64::from_le_bytes(bytes[at..at + 8].try_into().expect("a word has 8 bytes"))
-        }),
-        Err(_) => [0; 3],
+        })),
+        Err(error) if error.kind() == io::ErrorKind::UnexpectedEof => Ok([0; 3]),
+        Err(error) => Err(error),
+    }
+}
+
+/// Takes a lock, if no other process has one that excludes it.
+fn try_lock(file: &File, operation: FlockOperation) -> io::Result<bool> {
+    match retry_on_intr(|| flock(file, operation)) {
+        Ok(()) => Ok(true),
+        Err(Errno::WOULDBLOCK) => Ok(false),
+        Err(error) => Err(error.into()),
     }
 }
 

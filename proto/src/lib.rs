@@ -7,6 +7,8 @@
 //! | [`bell`] | what tells a client that a reply is there |
 //! | [`sleep`] | threads that sleep until somebody wakes them up |
 //! | [`vigil`] | waiting for a message awake |
+//! | [`cause`] | why an operation of the transport failed, in its own words |
+//! | [`missing_page`] | making shared memory while there is none |
 //! | [`control`] | rare messages: hello, tasks, sessions, status (serde + bincode, at most 64 KiB) |
 //! | [`wire`] | frequent messages: step and reset as plain arrays in shared memory |
 //! | [`spec`] | what a task looks like: actions, observations, goals, options |
@@ -33,12 +35,14 @@
 //! ```
 
 pub mod bell;
+pub mod cause;
 pub mod control;
 pub mod door;
 pub mod endpoint;
 pub mod error;
 pub mod goal;
 mod mapping;
+pub mod missing_page;
 pub mod open_files;
 pub mod placement;
 pub mod seed;

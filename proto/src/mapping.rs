@@ -8,7 +8,8 @@ use std::os::unix::fs::OpenOptionsExt;
 use std::path::{Path, PathBuf};
 use std::ptr::{self, NonNull};
 
-use rustix::fs::FallocateFlags;
+use rustix::fs::{FallocateFlags, fallocate};
+use rustix::io::retry_on_intr;
 use rustix::mm::{MapFlags, ProtFlags};
 
 /// What may lie in memory that others write to at any time.
@@ -39,9 +40,9 @@ impl<W: Words> Mapping<W> {
         let file =
             OpenOptions::new().read(true).write(true).create_new(true).mode(0o600).open(&path)?;
         // Memory that is only promised would end the process when it is first written to.
-        let mapped = rustix::fs::fallocate(&file, FallocateFlags::empty(), 0, Self::BYTES as u64)
-            .map_err(io::Error::from)
-            .and_then(|()| Self::map(&file));
+        let allocate = || fallocate(&file, FallocateFlags::empty(), 0, Self::BYTES as u64);
+        let mapped =
+            retry_on_intr(allocate).map_err(io::Error::from).and_then(|()| Self::map(&file));
         match mapped {
             Ok(mut mapping) => {
                 mapping.made = Some(path);

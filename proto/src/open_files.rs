@@ -1,5 +1,6 @@
 //! Open files of this process: how many it has and may have, and what clients and sessions take.
 
+use rustix::io::Errno;
 use rustix::process::{Resource, getrlimit};
 
 /// Files that a session keeps open on either side (measured: 7).
@@ -30,8 +31,13 @@ impl OpenFiles {
     pub fn now() -> Self {
         let limit = getrlimit(Resource::Nofile).current;
         let limit = limit.map_or(usize::MAX, |limit| usize::try_from(limit).unwrap_or(usize::MAX));
-        // The list itself is one of them; where it cannot be opened, none is left.
-        let used = std::fs::read_dir("/proc/self/fd").map_or(limit, |files| files.count() - 1);
+        let used = match std::fs::read_dir("/proc/self/fd") {
+            // The list itself is one of them.
+            Ok(files) => files.count() - 1,
+            Err(error) if error.raw_os_error() == Some(Errno::MFILE.raw_os_error()) => limit,
+            // Not known; an operation that needs more than there are will tell.
+            Err(_) => 0,
+        };
         Self { used, limit }
     }
 

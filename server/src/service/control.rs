@@ -12,6 +12,7 @@ use trocar_proto::control::{
 };
 use trocar_proto::door::Door;
 use trocar_proto::endpoint::{Endpoint, LEAST_WAIT, MAX_CLIENTS, Node, ServerLock};
+use trocar_proto::missing_page::guarded;
 use trocar_proto::open_files::OpenFiles;
 use trocar_proto::wire::Header;
 use trocar_proto::{Code, Rejection};
@@ -46,7 +47,8 @@ pub(super) fn run(
     ready: impl FnOnce(),
 ) -> Result<(), ServeError> {
     let epoch = lock.epoch();
-    let ControlPorts { port, bell } = ControlPorts::open(node, epoch)?;
+    let ports =
+        guarded(|| ControlPorts::open(node, epoch)).map_err(internal("shared memory"))??;
     let door = Door::make(&endpoint, epoch).map_err(internal("door"))?;
     endpoint.allocate("a server").map_err(internal("shared memory"))?;
     let hall =
@@ -97,7 +99,7 @@ pub(super) fn run(
     tracing::info!(%name, pid, threads, metrics, view = seen, "serving");
     while !stop.is_set() {
         host.scheduler.hall().door.beat();
-        host.answer_waiting(&port);
+        host.answer_waiting(&ports);
         if looked.elapsed() >= pause {
             let computed = thread_time();
             looked = Instant::now();
@@ -105,7 +107,7 @@ pub(super) fn run(
             pause = lease::pause(thread_time().saturating_sub(computed));
         }
         let patience = pause.saturating_sub(looked.elapsed());
-        match bell.timed_wait(|_| {}, patience.max(LEAST_WAIT)) {
+        match ports.bell.timed_wait(|_| {}, patience.max(LEAST_WAIT)) {
             Ok(_) | Err(ListenerWaitError::InterruptSignal) => {}
             Err(error) => {
                 tracing::warn!(?error, "the control bell failed");
@@ -117,7 +119,7 @@ pub(super) fn run(
     if let Err(error) = lock.announce_end() {
         tracing::warn!(%error, "clients will take this for a crash");
     }
-    host.drain(&port, &bell, config.drain_limit);
+    host.drain(&ports, config.drain_limit);
     Ok(())
 }
 
@@ -152,9 +154,9 @@ struct Host {
 
 impl Host {
     /// Answers every client that waits once before anybody is answered twice.
-    fn answer_waiting(&mut self, port: &ports::Port) {
+    fn answer_waiting(&mut self, ports: &ControlPorts) {
         let waiting: Vec<Request> =
-            std::iter::from_fn(|| port.receive().ok().flatten()).take(MAX_CLIENTS).collect();
+            std::iter::from_fn(|| ports.receive()).take(MAX_CLIENTS).collect();
         for request in waiting {
             self.answer(request);
         }
@@ -316,7 +318,8 @@ impl Host {
         }
         self.take_stock();
         if census.deaths {
-            self.ground.node.try_cleanup_dead_nodes();
+            // What a client left unfinished may have no memory.
+            guarded(|| self.ground.node.try_cleanup_dead_nodes()).ok();
         }
         if let Some(why) = watch.verdict(census.clients()) {
             tracing::info!(why, "the server ends");
@@ -328,7 +331,7 @@ impl Host {
 
     /// Lets sessions answer what they were asked, for at most `limit` and unless that is cut short;
     /// answers control messages meanwhile. Sessions that take longer are left behind.
-    fn drain(mut self, port: &ports::Port, bell: &ports::Bell, limit: Duration) {
+    fn drain(mut self, ports: &ControlPorts, limit: Duration) {
         let start = Instant::now();
         let hall = Arc::clone(self.scheduler.hall());
         self.sessions.values().for_each(|session| session.finish(&hall));
@@ -337,8 +340,8 @@ impl Host {
                 break;
             }
             hall.door.beat();
-            self.answer_waiting(port);
-            bell.timed_wait(|_| {}, Duration::from_millis(2)).ok();
+            self.answer_waiting(ports);
+            ports.bell.timed_wait(|_| {}, Duration::from_millis(2)).ok();
         }
         for handle in self.sessions.into_values().chain(self.ending) {
             if handle.has_ended() {

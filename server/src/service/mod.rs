@@ -20,6 +20,7 @@
 //! | `cpus.rs` | which processors a server uses |
 //! | `scheduler.rs` | turns: which session's environments run on which threads |
 //! | `turns.rs`, `pile.rs` | who is next; work that is cut into bites |
+//! | `unfinished.rs` | removes shared memory that a process began and never finished |
 //! | `wakes.rs` | clients that got their replies, until they are woken up |
 //! | `hall.rs` | where sessions wait until their clients ring, and the threads that answer them |
 //!
@@ -46,6 +47,7 @@ mod scheduler;
 mod session;
 mod store;
 mod turns;
+mod unfinished;
 mod wakes;
 mod witness;
 
@@ -57,9 +59,12 @@ use std::sync::atomic::{AtomicU8, Ordering};
 use std::time::{Duration, Instant};
 
 use trocar_proto::bell::Bells;
+use trocar_proto::cause;
 use trocar_proto::endpoint::{Endpoint, Membership, ServerLock, ServerName, ServerState};
+use trocar_proto::missing_page::guarded;
 use trocar_proto::{Code, Rejection};
 
+use self::unfinished::Remover;
 use crate::tasks::Registry;
 
 pub use cpus::Cpus;
@@ -216,7 +221,10 @@ pub fn serve(
     let lock = lock.map_err(|pid| ServeError::NameInUse { name: config.name.to_string(), pid })?;
     // Without that, not even the predecessor's remains can be looked through.
     Endpoint::check_free("a server", FIRST_BYTES).map_err(folder)?;
-    let node = Arc::new(membership.node().map_err(internal("node"))?);
+    let _remover =
+        Remover::start(endpoint.clone()).map_err(|error| ServeError::Threads(error.to_string()))?;
+    let node = guarded(|| membership.node()).map_err(folder)?;
+    let node = Arc::new(node.map_err(internal("node"))?);
     // A predecessor may have died while its clients live: what it left goes first. So does what
     // nobody uses under other names: those of private servers are not used again.
     node.try_cleanup_dead_nodes();
@@ -269,5 +277,7 @@ fn raise_file_limit() {
 
 /// Names an operation of the transport that failed.
 fn internal<E: std::fmt::Debug>(what: &'static str) -> impl FnOnce(E) -> Rejection {
-    move |error| Rejection::new(Code::Internal, what, format!("{error:?}"), "see the server's log")
+    move |error| {
+        Rejection::new(Code::Internal, what, cause::explain(&error), "see the server's log")
+    }
 }

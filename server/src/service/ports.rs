@@ -1,17 +1,24 @@
 //! The server's ends of the transport: how its services are made, and what a reply is.
 
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 use iceoryx2::active_request::ActiveRequest;
 use iceoryx2::port::LoanError;
 use iceoryx2::port::listener::Listener;
 use iceoryx2::port::server::Server as ServerPort;
+use iceoryx2::port::update_connections::UpdateConnections as _;
+use iceoryx2::port::{DegradationAction, DegradationCause, DegradationInfo};
 use iceoryx2::prelude::ServiceName;
 use iceoryx2::response_mut::ResponseMut;
+use iceoryx2::service::port_factory::request_response::PortFactory;
 use trocar_proto::Rejection;
 use trocar_proto::bell::Bells;
+use trocar_proto::cause;
 use trocar_proto::control::{self, ControlReply, MAX_MESSAGE};
 use trocar_proto::endpoint::{self, Endpoint, MAX_CLIENTS, Node, Transport};
+use trocar_proto::missing_page::guarded;
 use trocar_proto::open_files::{OpenFiles, SESSION_FILES};
 use trocar_proto::wire::{Header, MAX_HELD_REPLIES, MAX_IN_FLIGHT};
 
@@ -40,8 +47,8 @@ pub(super) type Request = ActiveRequest<Transport, [u8], Header, [u8], Header>;
 /// Where requests arrive.
 pub(super) type Port = ServerPort<Transport, [u8], Header, [u8], Header>;
 
-/// What tells that some arrived.
-pub(super) type Bell = Listener<Transport>;
+/// The service of control requests.
+type Service = PortFactory<Transport, [u8], Header, [u8], Header>;
 
 /// A reply that is being written.
 pub(super) type Response = ResponseMut<Transport, [u8], Header>;
@@ -63,15 +70,44 @@ fn most_clients() -> usize {
     (files.limit.saturating_sub(files.used + CONTROL_FILES) / each).clamp(1, MAX_CLIENTS)
 }
 
+/// Whether a port could not be connected to a client. The transport tries that once for each client, and once more
+/// whenever one comes or goes.
+#[derive(Clone, Default)]
+struct Missed(Arc<AtomicBool>);
+
+impl Missed {
+    /// What the transport calls there.
+    fn handler(
+        &self,
+    ) -> impl Fn(DegradationCause, &DegradationInfo) -> DegradationAction + Send + use<> {
+        let missed = self.clone();
+        move |_, _| {
+            let cause = cause::take().unwrap_or_default();
+            tracing::warn!(cause, "a client could not be connected");
+            missed.0.store(true, Ordering::Relaxed);
+            DegradationAction::Ignore
+        }
+    }
+
+    /// Whether that happened since it was last asked.
+    fn take(&self) -> bool {
+        // Mostly it did not, and reading is cheaper.
+        self.0.load(Ordering::Relaxed) && self.0.swap(false, Ordering::Relaxed)
+    }
+}
+
 /// Where control messages arrive.
 pub(super) struct ControlPorts {
-    pub(super) port: Port,
     pub(super) bell: Listener<Transport>,
+    port: Port,
+    service: Service,
+    missed: Missed,
 }
 
 impl ControlPorts {
     /// Creates the control service of the run `epoch` of the server.
     pub(super) fn open(node: &Node, epoch: u64) -> Result<Self, Rejection> {
+        cause::forget();
         let clients = most_clients();
         let name = service_name(&endpoint::control_service(epoch));
         let service = node
@@ -101,14 +137,44 @@ impl ControlPorts {
             .map_err(internal("control bell"))?;
         // The listener first: whoever can open the control service can ring.
         let bell = event.listener_builder().create().map_err(internal("control bell port"))?;
+        let missed = Missed::default();
         let port = service
             .server_builder()
             .initial_max_slice_len(MAX_MESSAGE)
             .max_loaned_responses_per_request(1)
             .override_response_preallocation(|_| CONTROL_REPLIES)
+            .set_request_degradation_handler(missed.handler())
+            .set_response_degradation_handler(missed.handler())
             .create()
             .map_err(internal("control port"))?;
-        Ok(Self { port, bell })
+        Ok(Self { bell, port, service, missed })
+    }
+
+    /// The next request.
+    pub(super) fn receive(&self) -> Option<Request> {
+        // The transport drops requests of clients that it is connected to in one direction only.
+        if guarded(|| self.port.update_connections().ok()).is_err() {
+            tracing::warn!("a client that had no shared memory could not be connected");
+        }
+        if self.missed.take() {
+            self.look_again();
+        }
+        self.port.receive().ok().flatten()
+    }
+
+    /// Lets the port connect to the clients that it has missed, since another one comes and goes.
+    fn look_again(&self) {
+        let looked = guarded(|| {
+            let passing = self.service.client_builder().initial_max_slice_len(1).create();
+            let passing = passing.map_err(|error| cause::explain(&error))?;
+            self.port.update_connections().ok();
+            drop(passing);
+            Ok::<_, String>(())
+        });
+        if let Err(cause) = looked.map_err(|error| error.to_string()).flatten() {
+            tracing::warn!(cause, "clients that were missed are looked for later");
+            self.missed.0.store(true, Ordering::Relaxed);
+        }
     }
 }
 
@@ -139,10 +205,15 @@ pub(super) fn reply(request: &Request, reply: &ControlReply) {
     }
 }
 
+/// The client of a session cannot be connected.
+#[derive(Debug)]
+pub(super) struct Unreachable;
+
 /// Where the requests of one session arrive, and what tells its client of replies.
 pub(super) struct DataPorts {
     pub(super) port: Port,
     pub(super) bells: Bells,
+    missed: Missed,
 }
 
 impl DataPorts {
@@ -154,6 +225,7 @@ impl DataPorts {
         session: u64,
         reply_bytes: usize,
     ) -> Result<Self, Rejection> {
+        cause::forget();
         let service = node
             .service_builder(&service_name(&endpoint::data_service(epoch, session)))
             .request_response::<[u8], [u8]>()
@@ -172,14 +244,36 @@ impl DataPorts {
             .create()
             .map_err(internal("data service"))?;
         let bells = Bells::make(endpoint, epoch, session).map_err(internal("session bells"))?;
+        let missed = Missed::default();
         let port = service
             .server_builder()
             .initial_max_slice_len(reply_bytes)
             .max_loaned_responses_per_request(1)
             .override_response_preallocation(|_| REPLIES)
+            .set_request_degradation_handler(missed.handler())
+            .set_response_degradation_handler(missed.handler())
             .create()
             .map_err(internal("data port"))?;
-        Ok(Self { port, bells })
+        Ok(Self { port, bells, missed })
+    }
+
+    /// The next request; an error where its client could not be connected, which would wait for replies in vain.
+    pub(super) fn receive(&self) -> Result<Option<Request>, Unreachable> {
+        let received = guarded(|| self.port.receive());
+        if self.missed.take() {
+            return Err(Unreachable);
+        }
+        match received {
+            Ok(Ok(request)) => Ok(request),
+            Ok(Err(error)) => {
+                tracing::warn!(?error, "a request was not received");
+                Ok(None)
+            }
+            Err(error) => {
+                tracing::warn!(%error, "a client could not be connected");
+                Err(Unreachable)
+            }
+        }
     }
 }
 

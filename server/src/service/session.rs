@@ -12,6 +12,7 @@ use trocar_proto::control::{
 };
 use trocar_proto::door::Size;
 use trocar_proto::endpoint::{Endpoint, Node};
+use trocar_proto::missing_page::guarded;
 use trocar_proto::wire::{
     Header, MAX_IN_FLIGHT, PictureLayout, ReplyLayout, RequestLayout, flag, kind,
 };
@@ -24,7 +25,7 @@ use super::hall::{Attended, Guest, Outlook, Seat};
 use super::handle::{Nature, Pace, SessionHandle, Shared};
 use super::internal;
 use super::meter::{Meter, TaskMeter};
-use super::ports::{self, DataPorts, Request};
+use super::ports::{self, DataPorts, Request, Unreachable};
 use super::rows::Rows;
 use super::scheduler::{Scheduler, Turn, need};
 use super::store::{self, Ledger, Saved, Store};
@@ -215,11 +216,13 @@ impl Session {
             let why = "the session is being closed";
             return Err(Rejection::new(Code::UnknownSession, "session", id, why));
         }
-        let ports = DataPorts::open(&ground.node, &ground.endpoint, epoch, id, most)?;
-        // What is promised to a client is its own from now on, whatever fills shared memory.
-        ground.endpoint.allocate("the session").map_err(|error| {
+        let no_room = |error: std::io::Error| {
             Rejection::new(Code::MemoryBudget, "envs", wanted.envs, error.to_string())
-        })?;
+        };
+        let ports = guarded(|| DataPorts::open(&ground.node, &ground.endpoint, epoch, id, most))
+            .map_err(no_room)??;
+        // What is promised to a client is its own from now on, whatever fills shared memory.
+        ground.endpoint.allocate("the session").map_err(no_room)?;
         let Shared { task, client, .. } = &*shared;
         let (pid, language) = (client.pid, client.language.as_str());
         tracing::info!(session = id, pid, language, task, envs, "session opened");
@@ -481,7 +484,7 @@ impl Guest for Session {
         }
         // Asked before a request is looked for: what arrived by then is answered.
         let finish = self.shared.finish.load(Ordering::Acquire);
-        match self.ports.port.receive() {
+        match self.ports.receive() {
             Ok(Some(request)) => {
                 let start = Instant::now();
                 let (steps, slept) = self.answer(&request, start, turn);
@@ -493,10 +496,10 @@ impl Guest for Session {
                 Attended::Answered { slept, more }
             }
             Ok(None) => self.rest(finish),
-            Err(error) => {
-                let session = self.shared.id;
-                tracing::warn!(session, ?error, "a request was not received");
-                self.rest(finish)
+            Err(Unreachable) => {
+                self.shared.reason.get_or_init(|| "unreachable");
+                self.end();
+                Attended::Over
             }
         }
     }
