@@ -8,6 +8,7 @@
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
+use std::{fs, io};
 
 use rten::{Dimension, Model, NodeId, RunOptions, ThreadPool, ValueView};
 use trocar_proto::TaskSpec;
@@ -86,8 +87,14 @@ impl Part {
 impl Network {
     /// Reads a file.
     pub fn load(path: &Path) -> Result<Self, Error> {
+        let unfit = |error: io::Error| Error::Unfit { path: path.into(), why: error.to_string() };
+        Self::read(path, fs::read(path).map_err(unfit)?)
+    }
+
+    /// Reads what the file at `path` holds.
+    pub fn read(path: &Path, bytes: Vec<u8>) -> Result<Self, Error> {
         let unfit = |why| Error::Unfit { path: path.to_path_buf(), why };
-        let model = Model::load_file(path).map_err(|error| unfit(error.to_string()))?;
+        let model = Model::load(bytes).map_err(|error| unfit(error.to_string()))?;
         let mut inputs = Vec::new();
         for id in model.input_ids() {
             let name = model.node_info(*id).and_then(|node| node.name()).unwrap_or_default();
