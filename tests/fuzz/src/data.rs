@@ -4,7 +4,7 @@ use std::sync::{Mutex, PoisonError};
 
 use trocar_client::{Autoreset, CallError, Options, SessionRequest};
 use trocar_proto::spec::OptionValue;
-use trocar_proto::wire::{Header, kind};
+use trocar_proto::wire::{Header, flag, kind};
 
 use crate::control::check;
 use crate::hosted::{self, Known};
@@ -125,19 +125,34 @@ fn unusual(header: &mut Header, input: &mut Input<'_>) {
 }
 
 pub(crate) fn seeds() -> Vec<Vec<u8>> {
-    let mut seeds = vec![];
+    let mut seeds = vec![last_episode()];
     for session in 0..3 {
         let all = 1 + session % 2;
-        seeds.push(
-            [vec![session], vec![1, 0, 1, 2, 1, 1, 2, 0, 1], vec![3, 0, 1, 5, 1, 1]].concat(),
-        );
+        // A reset, a step, snapshots, a fork.
+        seeds.push(vec![session, 1, 0, all, 2, 1, all, 3, 0, 1, 5, 1, 1]);
         for kind in 1..8 {
-            // After a reset; environments, actions, numbers and episodes of the first row are set.
-            let edits =
-                vec![3, 0, 0, 4, 0, 0, 0, 0, 64, 0, 4, 0, 0, 0, 63, 128, 0, 2, 1, 0, 192, 0, 1, 1];
-            seeds.push([vec![session, 1, 0, all, kind | HAS_EDITS, 3, 1], edits].concat());
+            // After a reset: parts of environments, actions, numbers and episodes are set.
+            let edits = [
+                edit(0, &[0, 0, 0, 0]),
+                edit(64, &[0, 0, 0, 63]),
+                edit(128, &[1, 0]),
+                edit(192, &[1]),
+            ];
+            let edited = [vec![kind | HAS_EDITS, 3, 1, 3], edits.concat()].concat();
+            seeds.push([vec![session, 1, 0, all], edited].concat());
             seeds.push(vec![session, 1, 0, all, kind | HAS_HEADER, 0, 1, kind, 1, 0, 0, 0]);
         }
     }
     seeds
+}
+
+/// The last of all episodes, and the one after it.
+fn last_episode() -> Vec<u8> {
+    let seeded = vec![kind::RESET as u8 | HAS_EDITS, flag::HAS_SEEDS as u8, 1, 0];
+    [vec![0], seeded, edit(192, &[0xff; 8]), vec![kind::RESET as u8, 0, 1]].concat()
+}
+
+/// Bytes of the payload.
+fn edit(at: u16, bytes: &[u8]) -> Vec<u8> {
+    [&at.to_le_bytes(), [bytes.len() as u8].as_slice(), bytes].concat()
 }

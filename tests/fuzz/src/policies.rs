@@ -3,7 +3,7 @@
 use std::path::Path;
 use std::sync::LazyLock;
 
-use trocar_network::{Network, Seen};
+use trocar_network::{Error, Network, Seen};
 use trocar_proto::{Options, TaskSpec};
 use trocar_server::Registry;
 
@@ -16,9 +16,13 @@ pub(crate) fn run(data: &[u8]) {
         Ok(network) => network,
         Err(error) => return assert!(!error.to_string().is_empty()),
     };
-    if network.check(&TASK).is_err() {
-        return;
+    if network.check(&TASK).is_ok() {
+        act(&network).ok();
     }
+}
+
+/// The action that it chooses, whole or not at all.
+fn act(network: &Network) -> Result<(), Error> {
     let [observation, achieved, desired] =
         [TASK.observation_dim(), TASK.goal_dim(), TASK.goal_dim()].map(|dim| vec![0.5; dim]);
     let seen = Seen { observation: &observation, achieved: &achieved, desired: &desired };
@@ -26,6 +30,7 @@ pub(crate) fn run(data: &[u8]) {
     let acted = network.act(&seen, &mut action);
     let untouched = action.iter().all(|number| *number == 7.0);
     assert!(acted.is_ok() || untouched, "{acted:?}: an action is whole or none");
+    acted
 }
 
 /// A protobuf message that is being written.
@@ -123,4 +128,18 @@ pub(crate) fn seeds() -> Vec<Vec<u8>> {
         model(&layers, &tensors, &[("observation", seen), ("desired_goal", goal)]),
         model(&small, &few, &[("achieved_goal", goal), ("desired_goal", goal)]),
     ]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn seeds_are_policies_that_act() {
+        for seed in seeds() {
+            let network = Network::read(Path::new("policy.onnx"), seed).unwrap();
+            network.check(&TASK).unwrap();
+            act(&network).unwrap();
+        }
+    }
 }
