@@ -21,8 +21,9 @@ pub(crate) fn run(data: &[u8]) {
     if let Ok(model) = model {
         let bounds = model.aabb(&Pose::identity());
         assert!(bounds.extents().iter().all(|extent| extent.is_finite()));
-        let mass = if model.mass > 0.0 { model.mass } else { 1.0 };
-        model.insert(&mut world, mass, &Pose::translation(0.0, 0.0, 1.0));
+        if model.mass > 0.0 {
+            model.insert(&mut world, model.mass, &Pose::translation(0.0, 0.0, 1.0));
+        }
     }
     for _ in 0..3 {
         world.advance();
