@@ -4,7 +4,7 @@ use clap::Args;
 use serde_json::{Value, json};
 use trocar_proto::spec::{Allowed, OptionSpec};
 use trocar_proto::{OptionValue, Options, TaskSpec};
-use trocar_server::tasks::Assignment;
+pub(crate) use trocar_server::tasks::Assignment;
 
 use crate::exit::Exit;
 
