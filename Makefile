@@ -171,6 +171,29 @@ test-valgrind: ## memory errors of server, client and shared memory, by valgrind
 	$(CARGO) test --locked -p trocar-proto --lib endpoint; \
 	$(CARGO) test --locked -p trocar-tests --test allocations
 
+# Coverage of the code here and of what it depends on, but not of what runs while it is built: hence --target.
+FUZZ_HOST = $(shell rustc -vV | sed -n 's/^host: //p')
+FUZZ_FLAGS := -Cpasses=sancov-module -Cllvm-args=-sanitizer-coverage-level=4 \
+	-Cllvm-args=-sanitizer-coverage-inline-8bit-counters -Cllvm-args=-sanitizer-coverage-pc-table \
+	-Cllvm-args=-sanitizer-coverage-trace-compares --cfg fuzzing -Ccodegen-units=1
+# What computes a policy's matrices takes ten minutes to compile with both counters and optimisation.
+FUZZ_SLOW := --config 'profile.dev.package.rten-gemm.opt-level=1' --config 'profile.dev.package.rten.opt-level=1'
+FUZZ_TARGET ?= control data words snapshots recordings urdf policies options
+FUZZ_S ?= 600
+
+# FUZZ_S=3600 FUZZ_TARGET=urdf: for how long, and what. Inputs that are found stay in target/fuzz for the next time.
+.PHONY: fuzz
+fuzz: ## coverage-guided fuzzing of all that is read from others, ten minutes each; needs g++
+	$(CARGO) build $(RUST) --bin corpus
+	RUSTFLAGS="$(FUZZ_FLAGS)" $(CARGO) build $(FUZZ_SLOW) --locked -p trocar-fuzz --bin fuzz --features libfuzzer \
+		--target $(FUZZ_HOST)
+	FUZZ_BIN=$(TARGET)/$(FUZZ_HOST)/debug/fuzz CORPUS_BIN=$(TARGET)/debug/corpus FUZZ_DIR=$(TARGET)/fuzz \
+		FUZZ_S="$(FUZZ_S)" FUZZ_TARGET="$(FUZZ_TARGET)" tests/fuzz/run
+
+.PHONY: fuzz-corpus
+fuzz-corpus: ## the same, and keeps in tests/fuzz/corpus the fewest inputs that have all of the coverage
+	FUZZ_MERGE=yes $(MAKE) fuzz
+
 .PHONY: soak
 soak: develop ## * the long bars: 1,000,000 fuzzed messages, long multi-process loops, every failing call; needs strace
 	TROCAR_SOAK=1 TROCAR_BINARY=$(TARGET)/debug/trocar $(CARGO) test $(RUST) -- --nocapture

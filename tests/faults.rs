@@ -15,7 +15,7 @@ use rustix::process::Signal;
 use trocar_client::Client;
 
 use crate::harness::{
-    Process, Server, Watchdog, client, client_command, eventually, serve, unique_name,
+    Process, Server, Watchdog, client, client_command, eventually, serve, soak, unique_name,
 };
 use crate::twin::{Bystander, digest};
 
@@ -118,7 +118,7 @@ fn faults_in(calls: &str) -> Vec<Fault> {
         }
     }
     found.retain(|(kind, when)| !fatal.contains(&(KINDS[*kind].call, *when)));
-    let every = if std::env::var_os("TROCAR_SOAK").is_some() { 1 } else { 17 };
+    let every = if soak() { 1 } else { 17 };
     let faults = found.into_iter().map(|(kind, when)| Fault { kind: KINDS[kind], when });
     faults.step_by(every).collect()
 }

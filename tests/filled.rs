@@ -11,7 +11,7 @@ use rustix::process::Signal;
 use trocar_client::{Autoreset, Client, Options, Session, SessionRequest};
 use trocar_proto::endpoint::Endpoint;
 
-use crate::harness::{Process, Server, Watchdog, binary, client, eventually, serve, unique_name};
+use crate::harness::{Process, Server, Watchdog, binary, client, eventually, serve, soak, unique_name};
 use crate::namespaces::unshare;
 use crate::rows::{Policy, Row, act, policies};
 use crate::twin::{Bystander, Twin};
@@ -266,7 +266,7 @@ fn shared_memory_may_fill_while_sessions_open_and_close() {
     if !inside("filled::shared_memory_may_fill_while_sessions_open_and_close") {
         return;
     }
-    let times = if std::env::var_os("TROCAR_SOAK").is_some() { 10_000 } else { 150 };
+    let times = if soak() { 10_000 } else { 150 };
     let mut server = Server::start();
     let bystander = Bystander::start(&server);
     let mut clients: Vec<Process> = (0..2).map(|_| client(server.name(), "open-anyway")).collect();

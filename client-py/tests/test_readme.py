@@ -11,7 +11,8 @@ import pytest
 
 ROOT = Path(__file__).parents[2]
 README = ROOT / "README.md"
-DOCUMENTS = [README, *sorted((ROOT / "docs").glob("*.md")), ROOT / "ARCHITECTURE.md"]
+OTHERS = [ROOT / "ARCHITECTURE.md", ROOT / "SECURITY.md"]
+DOCUMENTS = [README, *sorted((ROOT / "docs").glob("*.md")), *OTHERS]
 
 LARGEST = 10_000
 """Most bytes of the README: what a newcomer reads in a few minutes."""

@@ -3,6 +3,7 @@
 //! [`Scene`].
 
 use std::collections::BTreeMap;
+use std::ops::RangeInclusive;
 use std::sync::LazyLock;
 
 use nalgebra::{Matrix3, Point3, Vector3};
@@ -292,7 +293,7 @@ fn placed(robot: &Robot) -> Result<Vec<Placed>, ModelError> {
         }
         if link.collision.is_empty() {
             let Some(joint) = joint else { return wrong(&link.name, "has no collision shapes") };
-            frames.push((joint.parent.link.clone(), link.name.clone(), pose(&joint.origin)));
+            frames.push((joint.parent.link.clone(), link.name.clone(), pose(&joint.origin)?));
             continue;
         }
         let scene_from_body = match joint {
@@ -300,17 +301,17 @@ fn placed(robot: &Robot) -> Result<Vec<Placed>, ModelError> {
             Some(joint) => {
                 let parent = bodies.iter().find(|body| body.name == joint.parent.link);
                 let Some(parent) = parent else { return wrong(&joint.name, "hangs on no body") };
-                parent.scene_from_body * pose(&joint.origin)
+                parent.scene_from_body * pose(&joint.origin)?
             }
         };
-        let inertia = inertia(&link.inertial);
+        let inertia = inertia(&link.inertial)?;
         let mass = inertia.mass;
-        if is_free && !(mass > 0.0 && mass.is_finite()) {
+        if is_free && mass <= 0.0 {
             return wrong(&link.name, "is free and needs a mass");
         }
         let part = |collision: &urdf_rs::Collision| -> Result<Part, ModelError> {
             let shape = shape(&collision.geometry)?;
-            Ok(Part { body_from_part: pose(&collision.origin), shape })
+            Ok(Part { body_from_part: pose(&collision.origin)?, shape })
         };
         let parts = link.collision.iter().map(part).collect::<Result<_, _>>()?;
         let material = link.visual.first().and_then(|visual| visual.material.as_ref());
@@ -354,7 +355,7 @@ pub(crate) fn visuals(folder: &str, link: &urdf_rs::Link) -> Result<Vec<Visual>,
             other => made(&shape(other).ok()?),
         };
         let material = look(visual.material.as_ref());
-        Some(Visual { form, body_from_visual: pose(&visual.origin), material })
+        Some(Visual { form, body_from_visual: pose(&visual.origin).ok()?, material })
     };
     let all: Option<Vec<_>> = link.visual.iter().map(seen).collect();
     if let Some(visuals) = all.filter(|visuals| !visuals.is_empty()) {
@@ -363,7 +364,7 @@ pub(crate) fn visuals(folder: &str, link: &urdf_rs::Link) -> Result<Vec<Visual>,
     let material = look(link.visual.first().and_then(|visual| visual.material.as_ref()));
     let shown = |collision: &urdf_rs::Collision| -> Result<Visual, ModelError> {
         let form = made(&shape(&collision.geometry)?);
-        Ok(Visual { form, body_from_visual: pose(&collision.origin), material })
+        Ok(Visual { form, body_from_visual: pose(&collision.origin)?, material })
     };
     link.collision.iter().map(shown).collect()
 }
@@ -385,30 +386,80 @@ fn friction_of(material: &str) -> Option<f64> {
     Some(row[FRICTION].parse().expect("friction is a number"))
 }
 
-fn inertia(inertial: &urdf_rs::Inertial) -> Inertia {
-    let origin = pose(&inertial.origin);
-    let urdf_rs::Inertia { ixx, ixy, ixz, iyy, iyz, izz } = inertial.inertia;
-    let moments = Matrix3::new(ixx, ixy, ixz, ixy, iyy, iyz, ixz, iyz, izz);
-    let turn = origin.rotation.to_rotation_matrix();
-    Inertia {
-        mass: inertial.mass.value,
-        centre: origin.translation.vector.into(),
-        moments: turn.matrix() * moments * turn.matrix().transpose(),
+/// Lengths that a world can be made of, m: 10 µm to 100 m.
+const LENGTHS: RangeInclusive<f64> = 1e-5..=100.0;
+
+/// Places, along each axis, m.
+const PLACES: RangeInclusive<f64> = -1e3..=1e3;
+
+/// Angles, rad.
+const ANGLES: RangeInclusive<f64> = -1e3..=1e3;
+
+/// Masses of what has one, kg: 0.1 mg to 10 t.
+const MASSES: RangeInclusive<f64> = 1e-7..=1e4;
+
+/// Moments of inertia, kg·m².
+const MOMENTS: RangeInclusive<f64> = 0.0..=1e6;
+
+/// An error unless the engine can compute with these numbers.
+fn check(what: &str, numbers: &[f64], allowed: &RangeInclusive<f64>) -> Result<(), ModelError> {
+    match numbers.iter().find(|number| !allowed.contains(number)) {
+        None => Ok(()),
+        Some(number) => {
+            let (least, most) = (allowed.start(), allowed.end());
+            let why = format!("{what} of {number}: allowed is {least} to {most}");
+            Err(ModelError::NotAModel(why))
+        }
     }
 }
 
-pub(crate) fn pose(origin: &urdf_rs::Pose) -> Pose {
-    frames::pose(*origin.xyz, *origin.rpy)
+fn inertia(inertial: &urdf_rs::Inertial) -> Result<Inertia, ModelError> {
+    let origin = pose(&inertial.origin)?;
+    let urdf_rs::Inertia { ixx, ixy, ixz, iyy, iyz, izz } = inertial.inertia;
+    let mass = inertial.mass.value;
+    if mass != 0.0 {
+        check("mass", &[mass], &MASSES)?;
+    }
+    let most = *MOMENTS.end();
+    check("moment of inertia", &[ixx, iyy, izz], &MOMENTS)?;
+    check("product of inertia", &[ixy, ixz, iyz], &(-most..=most))?;
+    let moments = Matrix3::new(ixx, ixy, ixz, ixy, iyy, iyz, ixz, iyz, izz);
+    // Written with six digits, moments of thin things may come out a little below 0.
+    let slack = 1e-4 * moments.norm();
+    check(
+        "principal moment of inertia",
+        moments.symmetric_eigenvalues().as_slice(),
+        &(-slack..=3.0 * most),
+    )?;
+    let turn = origin.rotation.to_rotation_matrix();
+    Ok(Inertia {
+        mass,
+        centre: origin.translation.vector.into(),
+        moments: turn.matrix() * moments * turn.matrix().transpose(),
+    })
+}
+
+pub(crate) fn pose(origin: &urdf_rs::Pose) -> Result<Pose, ModelError> {
+    check("place", &*origin.xyz, &PLACES)?;
+    check("angle", &*origin.rpy, &ANGLES)?;
+    Ok(frames::pose(*origin.xyz, *origin.rpy))
 }
 
 fn shape(geometry: &Geometry) -> Result<Shape, ModelError> {
     match geometry {
-        Geometry::Box { size } => Ok(Shape::Cuboid(Vector3::from(**size) * 0.5)),
-        Geometry::Capsule { radius, length } => Ok(Shape::Capsule {
-            a: Point3::new(0.0, 0.0, -0.5 * length),
-            b: Point3::new(0.0, 0.0, 0.5 * length),
-            radius: *radius,
-        }),
+        Geometry::Box { size } => {
+            check("edge", &**size, &LENGTHS)?;
+            Ok(Shape::Cuboid(Vector3::from(**size) * 0.5))
+        }
+        Geometry::Capsule { radius, length } => {
+            check("radius", &[*radius], &LENGTHS)?;
+            check("length", &[*length], &(0.0..=*LENGTHS.end()))?;
+            Ok(Shape::Capsule {
+                a: Point3::new(0.0, 0.0, -0.5 * length),
+                b: Point3::new(0.0, 0.0, 0.5 * length),
+                radius: *radius,
+            })
+        }
         other => Err(ModelError::NotAModel(format!(
             "collision shapes are boxes and capsules, not {other:?}"
         ))),
@@ -475,6 +526,29 @@ mod tests {
         assert!(changed("<mass value=\"0.001\"/>", "<mass value=\"0\"/>").contains("a mass"));
         assert!(changed("<capsule radius", "<cylinder radius").contains("boxes and capsules"));
         assert!(changed("<parent link=\"ball\"/>", "<parent link=\"top\"/>").contains("no body"));
+    }
+
+    #[test]
+    fn numbers_with_which_the_engine_cannot_compute_are_refused_by_what_they_are() {
+        let changed = |from: &str, to: &str| {
+            assert!(SCENE.contains(from));
+            Scene::from_urdf(&SCENE.replace(from, to)).unwrap_err().to_string()
+        };
+        for (from, to, what) in [
+            ("size=\"0.1 0.1", "size=\"0.1 -0.1", "edge of -0.1"),
+            ("size=\"0.1 0.1", "size=\"0.1 NaN", "edge of NaN"),
+            ("radius=\"0.005\"", "radius=\"1e30\"", "radius of 1"),
+            ("length=\"0.002\"", "length=\"inf\"", "length of inf"),
+            ("xyz=\"0.04 0", "xyz=\"1e9 0", "place of 1"),
+            ("value=\"0.001\"", "value=\"NaN\"", "mass of NaN"),
+            ("value=\"0.001\"", "value=\"1e-40\"", "mass of 0.0"),
+            ("ixx=\"1\"", "ixx=\"5e208\"", "moment of inertia of 5"),
+            ("ixx=\"1\"", "ixx=\"-1\"", "moment of inertia of -1"),
+            ("ixy=\"0\"", "ixy=\"3\"", "principal moment"),
+        ] {
+            let refusal = changed(from, to);
+            assert!(refusal.contains(what), "{to}: {refusal}");
+        }
     }
 
     const SCENE: &str = r#"<robot name="test">

@@ -294,7 +294,8 @@ impl Env {
         match seed {
             Some(seed) => return self.reset_to(seed, 0),
             None if self.state == State::New => {}
-            None => self.episode += 1,
+            // A client may ask for the last of all episodes, after which comes the first.
+            None => self.episode = self.episode.wrapping_add(1),
         }
         self.begin();
     }

@@ -1,11 +1,10 @@
-//! A task's options as text: `reward=dense`, `domain.latency=0,2`.
-
-use std::collections::BTreeMap;
+//! A task's options as flags, and as JSON.
 
 use clap::Args;
 use serde_json::{Value, json};
 use trocar_proto::spec::{Allowed, OptionSpec};
 use trocar_proto::{OptionValue, Options, TaskSpec};
+pub(crate) use trocar_server::tasks::Assignment;
 
 use crate::exit::Exit;
 
@@ -57,75 +56,9 @@ impl Given {
     }
 }
 
-/// `NAME=VALUE` or, for a row of a table, `NAME.ROW=VALUE`.
-#[derive(Debug, Clone, PartialEq)]
-pub(crate) struct Assignment {
-    /// The option.
-    pub(crate) name: String,
-    /// The row, where the option is a table.
-    row: Option<String>,
-    text: String,
-}
-
-impl Assignment {
-    /// The option `name` with the value `text`.
-    pub(crate) fn new(name: &str, text: &str) -> Self {
-        Self { name: name.into(), row: None, text: text.into() }
-    }
-
-    /// Reads `NAME=VALUE` or `NAME.ROW=VALUE`.
-    pub(crate) fn parse(text: &str) -> Result<Self, String> {
-        let (path, value) = text.split_once('=').ok_or("expected NAME=VALUE")?;
-        let (name, row) = match path.split_once('.') {
-            Some((name, row)) => (name, Some(row.to_string())),
-            None => (path, None),
-        };
-        Ok(Self { name: name.into(), row, text: value.into() })
-    }
-
-    /// The value, as the option wants it. What cannot be read as that is left a word, so that the
-    /// task's own check refuses it and says what is allowed.
-    fn value(&self, option: &OptionSpec) -> OptionValue {
-        let word = || OptionValue::Text(self.text.clone());
-        let numbers = || -> Option<Vec<f64>> {
-            self.text.split(',').map(|part| part.trim().parse().ok()).collect()
-        };
-        match (&option.allowed, &self.row) {
-            (Allowed::Flag, None) => self.text.parse().map_or_else(|_| word(), OptionValue::Flag),
-            (Allowed::Range { .. } | Allowed::NumberOf(_), None) => {
-                self.text.parse().map_or_else(|_| word(), OptionValue::Number)
-            }
-            (Allowed::SomeOf(_), None) => {
-                OptionValue::Texts(self.text.split(',').map(|part| part.trim().into()).collect())
-            }
-            (Allowed::Vector { .. }, None) => numbers().map_or_else(word, OptionValue::Numbers),
-            (Allowed::Table(_), Some(row)) => match numbers() {
-                Some(numbers) => OptionValue::Table(BTreeMap::from([(row.clone(), numbers)])),
-                None => word(),
-            },
-            _ => word(),
-        }
-    }
-}
-
 /// The options that `assignments` give to a task that knows `known`. Unknown ones are refused.
 pub(crate) fn options(assignments: &[Assignment], known: &[OptionSpec]) -> anyhow::Result<Options> {
-    let mut options = Options::new();
-    for assignment in assignments {
-        let Some(option) = known.iter().find(|option| option.name == assignment.name) else {
-            let names: Vec<_> = known.iter().map(|option| option.name.as_str()).collect();
-            let name = &assignment.name;
-            let text = format!("options.{name}: unknown option; this task knows {names:?}");
-            return Err(Exit::Usage(text).into());
-        };
-        let value = assignment.value(option);
-        match (options.0.get_mut(&assignment.name), value) {
-            // Rows of one table add up.
-            (Some(OptionValue::Table(table)), OptionValue::Table(rows)) => table.extend(rows),
-            (_, value) => options = options.with(&assignment.name, value),
-        }
-    }
-    Ok(options)
+    Ok(Assignment::options(assignments, known)?)
 }
 
 /// Every task with those of `assignments` that it knows. A single task must know all of them; of

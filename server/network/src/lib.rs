@@ -6,8 +6,12 @@
 //!
 //! A crate of its own because the runtime takes minutes to compile into whatever calls it.
 
+mod onnx;
+
+use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
+use std::{fs, io};
 
 use rten::{Dimension, Model, NodeId, RunOptions, ThreadPool, ValueView};
 use trocar_proto::TaskSpec;
@@ -32,7 +36,7 @@ pub enum Error {
         /// The file.
         path: PathBuf,
         /// What the runtime says.
-        source: Box<dyn std::error::Error + Send + Sync>,
+        source: Source,
     },
 }
 
@@ -86,8 +90,16 @@ impl Part {
 impl Network {
     /// Reads a file.
     pub fn load(path: &Path) -> Result<Self, Error> {
+        let unfit = |error: io::Error| Error::Unfit { path: path.into(), why: error.to_string() };
+        Self::read(path, fs::read(path).map_err(unfit)?)
+    }
+
+    /// Reads what the file at `path` holds.
+    pub fn read(path: &Path, bytes: Vec<u8>) -> Result<Self, Error> {
         let unfit = |why| Error::Unfit { path: path.to_path_buf(), why };
-        let model = Model::load_file(path).map_err(|error| unfit(error.to_string()))?;
+        onnx::check(&bytes).map_err(unfit)?;
+        let model =
+            guarded(|| Ok(Model::load(bytes)?)).map_err(|error| unfit(error.to_string()))?;
         let mut inputs = Vec::new();
         for id in model.input_ids() {
             let name = model.node_info(*id).and_then(|node| node.name()).unwrap_or_default();
@@ -153,18 +165,27 @@ impl Network {
         Ok(())
     }
 
-    fn run(
-        &self,
-        seen: &Seen<'_>,
-    ) -> Result<([usize; 2], Vec<f32>), Box<dyn std::error::Error + Send + Sync>> {
+    fn run(&self, seen: &Seen<'_>) -> Result<([usize; 2], Vec<f32>), Source> {
         let mut inputs = Vec::with_capacity(self.inputs.len());
         for (id, part) in &self.inputs {
             let numbers = part.of(seen);
             inputs.push((*id, ValueView::from_shape([1, numbers.len()], numbers)?.into()));
         }
-        let [output] = self.model.run_n(inputs, [self.output], Some(self.options.clone()))?;
-        Ok(output.into_shape_vec::<f32, 2>()?)
+        let options = Some(self.options.clone());
+        guarded(|| {
+            let [output] = self.model.run_n(inputs, [self.output], options)?;
+            Ok(output.into_shape_vec::<f32, 2>()?)
+        })
     }
+}
+
+/// Any error.
+type Source = Box<dyn std::error::Error + Send + Sync>;
+
+/// Does what the runtime may panic at, where a file holds what its authors did not think of.
+fn guarded<T>(work: impl FnOnce() -> Result<T, Source>) -> Result<T, Source> {
+    catch_unwind(AssertUnwindSafe(work))
+        .unwrap_or_else(|_| Err("the runtime failed at what it holds".into()))
 }
 
 fn options() -> RunOptions {

@@ -184,3 +184,11 @@ fn a_failure_of_the_simulation_is_a_state_like_another() {
     copy.reset(None);
     assert_eq!((copy.episode(), copy.step(&[0.0]).unwrap().reward), (1, 1.0));
 }
+
+#[test]
+fn after_the_last_episode_of_a_seed_comes_its_first() {
+    let mut env = Registry::builtin().make("EcmReach-v0", &Options::new()).unwrap();
+    env.reset_to(3, u64::MAX);
+    env.reset(None);
+    assert_eq!((env.seed(), env.episode()), (3, 0));
+}

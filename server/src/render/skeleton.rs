@@ -89,7 +89,7 @@ impl Skeleton {
                         JointType::Fixed => Drive::Fixed,
                         _ => return Err(wrong("hangs on a joint that no arm has")),
                     };
-                    (Some(parent), assets::pose(&joint.origin), drive)
+                    (Some(parent), assets::pose(&joint.origin)?, drive)
                 }
             };
             let visuals = if link.visual.is_empty() {

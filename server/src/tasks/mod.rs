@@ -13,7 +13,7 @@
 //! | [`static_track`] | the endoscope centres a cube among others |
 //! | [`active_track`] | the endoscope follows a moving cube |
 //!
-//! A task of one's own implements [`Task`] and is added by [`Registry::register`].
+//! `assignment.rs` reads options that are texts. A task of one's own implements [`Task`] and is added by [`Registry::register`].
 
 use arrayvec::ArrayVec;
 use nalgebra::Vector3;
@@ -31,7 +31,10 @@ use crate::sim::motion::MAX_INSTRUMENTS;
 use crate::sim::random::Rng;
 use crate::sim::world::{BodyId, World};
 
+pub use assignment::Assignment;
+
 pub mod active_track;
+mod assignment;
 pub mod bi_peg_transfer;
 pub mod bimanual;
 pub mod camera;
