@@ -11,7 +11,9 @@ use rustix::process::Signal;
 use trocar_client::{Autoreset, Client, Options, Session, SessionRequest};
 use trocar_proto::endpoint::Endpoint;
 
-use crate::harness::{Process, Server, Watchdog, binary, client, eventually, serve, soak, unique_name};
+use crate::harness::{
+    Process, Server, Watchdog, binary, client, eventually, serve, soak, unique_name,
+};
 use crate::namespaces::unshare;
 use crate::rows::{Policy, Row, act, policies};
 use crate::twin::{Bystander, Twin};

@@ -12,7 +12,7 @@
 //! | `handle.rs` | a session as others see it: the control loop, the viewer |
 //! | `batch.rs` | the environments of a session: reset, step, autoreset |
 //! | `drawing.rs` | pictures of environments, once all of a message were stepped |
-//! | `heap.rs` | gives the memory of sessions that have ended back |
+//! | `heap.rs` | gives memory back that sessions have freed |
 //! | `ports.rs` | the ends of the transport: how services are made, what a reply is |
 //! | `rows.rs` | the arrays of a reply, row by row |
 //! | `store.rs` | the snapshots of a session, and the memory that they take |
@@ -211,6 +211,7 @@ pub fn serve(
     if let Some(cpus) = &config.cpus {
         cpus.pin()?;
     }
+    heap::limit();
     raise_file_limit();
     let endpoint = Endpoint::new(&config.name);
     let folder =
