@@ -29,8 +29,7 @@ fn inside(name: &str) -> bool {
     }
     let _watchdog = Watchdog::start();
     let Some(mut command) = unshare() else { return false };
-    let script =
-        "mount -t tmpfs -o size=24m tmpfs /dev/shm && exec \"$0\" --exact \"$1\" --include-ignored --nocapture";
+    let script = "mount -t tmpfs -o size=24m tmpfs /dev/shm && exec \"$0\" --exact \"$1\" --include-ignored --nocapture";
     command.args(["sh", "-c", script]).arg(std::env::current_exe().unwrap()).arg(name);
     command.env(INSIDE, "1").env("TROCAR_BINARY", binary());
     let output = command.output().unwrap();
