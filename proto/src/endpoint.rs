@@ -277,13 +277,13 @@ impl Endpoint {
         Err(io::ErrorKind::StorageFull.into())
     }
 
-    /// The pieces that a process has begun and not finished: until then, the transport lets nobody read them. Each with
+    /// The pieces that a process has begun and not finished: until then, the transport lets no process read them. Each with
     /// the number of its file.
     pub fn unfinished(&self) -> io::Result<Vec<(PathBuf, u64)>> {
         const OWNER_READS: u32 = 0o400;
         let mut paths = Vec::new();
         for path in self.segments()? {
-            // Removed meanwhile, it is nobody's concern.
+            // Removed meanwhile: then it is not one of them.
             let Ok(metadata) = fs::metadata(&path) else { continue };
             if metadata.mode() & OWNER_READS == 0 {
                 paths.push((path, metadata.ino()));

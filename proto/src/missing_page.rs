@@ -79,7 +79,7 @@ extern "C" fn handle(signal: libc::c_int, info: *mut libc::siginfo_t, _: *mut li
                 return;
             }
         }
-        // The access is made again, and whoever was asked before is asked then.
+        // The access is made again, and the handler from before is called then.
         if let Some(Some(previous)) = PREVIOUS.get() {
             libc::sigaction(signal, previous, std::ptr::null_mut());
         }

@@ -32,7 +32,7 @@ impl Assignment {
     }
 
     /// The options that `assignments` give to a task that knows `known`. Unknown ones are refused; values are
-    /// checked by whoever makes the task.
+    /// checked when the task is made.
     pub fn options(assignments: &[Self], known: &[OptionSpec]) -> Result<Options, Rejection> {
         let mut options = Options::new();
         for assignment in assignments {
