@@ -174,6 +174,41 @@ fn jaws_press_on_a_wire_as_hard_as_they_are_asked_to() {
     }
 }
 
+/// By how much the forces of contacts differ from those that 200 sweeps of the solver find, as a share of these: the mean
+/// over the substeps in which jaws carry what they hold along a curve.
+fn solver_error(world: &mut World, arm: &mut Instrument) -> f64 {
+    let here = arm.posture().world_from_wrist;
+    let (mut off, mut all) = (0.0, 0.0);
+    for now in 1..=96 {
+        let way = 0.01 * (f64::from(now) / 96.0 * PI).sin();
+        let to = Pose::translation(way, 0.5 * way, way)
+            * here
+            * frames::pose([0.0; 3], [0.0, 0.0, 20.0 * way]);
+        let to = Posture { world_from_wrist: to, jaw: JAW_CLOSED };
+        let (mut reference, mut same) = (world.clone(), arm.clone());
+        reference.set_solver(Solver { sweeps: 200, ..Solver::LIGHT });
+        carry_out([&mut same], &mut reference, [to], 1);
+        carry_out([&mut *arm], world, [to], 1);
+        assert_eq!(world.contacts().count(), reference.contacts().count());
+        for (found, expected) in world.contacts().zip(reference.contacts()) {
+            assert_eq!((found.on, found.by), (expected.on, expected.by));
+            off += (found.force - expected.force).norm();
+            all += expected.force.norm();
+        }
+    }
+    off / all
+}
+
+#[test]
+fn contacts_of_what_is_held_bear_what_a_converged_solver_finds() {
+    let (mut world, mut arm, _, _) = gripped_staple(1.0);
+    let staple = solver_error(&mut world, &mut arm);
+    let (mut world, mut arm, _, _) = gripped_slab(1e-3, 1.0, 0.5);
+    let slab = solver_error(&mut world, &mut arm);
+    eprintln!("off by {:.2} % (staple of wire), {:.2} % (slab)", staple * 100.0, slab * 100.0);
+    assert!(staple < 0.02 && slab < 0.02, "{staple} {slab}");
+}
+
 #[test]
 fn fingers_that_meet_a_post_sideways_do_not_turn_about_their_hinge() {
     let mut most: f64 = 0.0;

@@ -96,12 +96,15 @@ impl Grasp {
             return;
         }
         for (index, arm) in arms.iter_mut().enumerate() {
+            if self.seized_by != Some(index) {
+                continue; // what else ties the object is not the business of this mode
+            }
             if arm.is_tied_to(self.object) {
                 if arm.fingers_touching(world, self.object) == 0 {
                     arm.untie(world);
                     self.seized_by = None;
                 }
-            } else if is_lifted && self.seized_by == Some(index) {
+            } else if is_lifted {
                 if arm.holds(world, self.object) {
                     arm.tie(world, self.object);
                 } else {

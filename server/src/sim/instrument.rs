@@ -417,8 +417,10 @@ impl Instrument {
         match self.fingers {
             // Locked jaws cannot give way: what they squeeze counts as pressed.
             Fingers::Locked(_) => {
+                let is_between = |object| world.touch(left, object) && world.touch(right, object);
+                let crushes = world.objects().any(is_between);
                 let [left, right] = [left, right].map(|finger| world.push_on(&[finger]));
-                world.push_on(&[self.wrist]).with(left).with(right)
+                Push { crushes, ..world.push_on(&[self.wrist]).with(left).with(right) }
             }
             Fingers::Gripping { .. } => world.push_on(&[self.wrist, left, right]),
         }

@@ -6,16 +6,15 @@
 use std::f64::consts::PI;
 
 use nalgebra::{Point3, Vector3};
-use rapier3d::dynamics::SpringCoefficients;
-use rapier3d::math::Vector as EngineVector;
+use rapier3d::math::{Pose as EnginePose, Vector as EngineVector};
 use rapier3d::prelude::{
-    BroadPhaseBvh, CCDSolver, ColliderBuilder, ColliderHandle, ColliderSet, FrictionModel,
-    ImpulseJointSet, IntegrationParameters, IslandManager, MultibodyJointSet, NarrowPhase,
-    PhysicsPipeline, RigidBodyBuilder, RigidBodyHandle, RigidBodySet, RigidBodyType, SoftBodySet,
+    BroadPhaseBvh, ColliderBuilder, ColliderHandle, ColliderSet, CollisionPipeline, IslandManager,
+    NarrowPhase, RigidBodyBuilder, RigidBodyHandle, RigidBodySet, RigidBodyType,
 };
 
 use super::frames::{self, Aabb, Pose, SCALE};
 
+mod constraint;
 mod contact;
 mod hinge;
 mod inertia;
@@ -23,7 +22,9 @@ mod non_rigid;
 mod points;
 mod rest;
 mod rolling;
+mod sleep;
 mod spring;
+mod substep;
 #[cfg(test)]
 mod tests;
 mod tie;
@@ -46,23 +47,26 @@ pub const SUBSTEPS_PER_SECOND: f64 = 240.0;
 pub struct Solver {
     /// Solver iterations in a substep.
     pub iterations: usize,
+    /// How often all rows are solved in each half of an iteration.
+    pub sweeps: usize,
     /// Natural frequency of contacts, Hz; at most 0.8/2π of the rate of iterations.
     pub contact_frequency: f64,
+    /// Contacts are at least as stiff, N/m, however light what moves is.
+    pub least_stiffness: f64,
 }
 
 impl Solver {
     /// For objects of about 10 g.
-    pub const HEAVY: Self = Self { iterations: 8, contact_frequency: 250.0 };
+    pub const HEAVY: Self =
+        Self { iterations: 16, sweeps: 1, contact_frequency: 270.0, least_stiffness: 0.0 };
     /// For real instruments' objects, from 0.4 g on.
-    pub const LIGHT: Self = Self { iterations: 16, contact_frequency: 500.0 };
+    pub const LIGHT: Self =
+        Self { iterations: 16, sweeps: 1, contact_frequency: 500.0, least_stiffness: 2e3 };
 
-    /// While no instrument takes part and nothing is fast: objects bear no more than their own weight, under
+    /// For what no instrument touches and what is not fast: objects bear no more than their own weight, under
     /// which they sink by g/ω² = 4 µm at 250 Hz, and what they run into they enter by at most v/ω.
-    const CALM: Self = Self::HEAVY;
-
-    fn softness(&self) -> SpringCoefficients<f32> {
-        SpringCoefficients::new(self.contact_frequency as f32, CONTACT_DAMPING)
-    }
+    const RESTING: Self =
+        Self { iterations: 8, sweeps: 1, contact_frequency: 250.0, least_stiffness: 0.0 };
 }
 
 /// The form of one part of a body; lengths in m.
@@ -173,16 +177,19 @@ pub struct BodyId(RigidBodyHandle);
 /// the original.
 #[derive(Clone)]
 pub struct World {
-    parameters: IntegrationParameters,
     solver: Solver,
     islands: IslandManager,
     broad_phase: BroadPhaseBvh,
     narrow_phase: NarrowPhase,
     bodies: RigidBodySet,
     colliders: ColliderSet,
-    impulse_joints: ImpulseJointSet,
-    multibody_joints: MultibodyJointSet,
-    soft_bodies: SoftBodySet,
+    hinges: Vec<hinge::Hung>,
+    springs: Vec<spring::Sprung>,
+    ties: Vec<tie::Tied>,
+    /// Driven bodies, and where each is to be at the end of the substep.
+    driven: Vec<(RigidBodyHandle, Option<EnginePose>)>,
+    /// What bodies did to each other in the last substep.
+    impulses: Vec<substep::ContactImpulse>,
     free: Vec<RigidBodyHandle>,
     /// The bodies on springs.
     sprung: Vec<RigidBodyHandle>,
@@ -199,12 +206,11 @@ pub struct World {
 /// Memory that the engine reuses from step to step and that holds no state.
 #[derive(Default)]
 struct Workspace {
-    pipeline: PhysicsPipeline,
-    ccd: CCDSolver,
-    /// The free objects that fall in this substep.
-    falling: Vec<RigidBodyHandle>,
-    /// Those that fingers hold, and nothing else touches.
-    held: Vec<RigidBodyHandle>,
+    collisions: CollisionPipeline,
+    constraints: constraint::Constraints,
+    awake: Vec<RigidBodyHandle>,
+    solved: Vec<(RigidBodyHandle, constraint::SolverBody)>,
+    impulses: Vec<substep::ContactImpulse>,
     /// Where a pair of fingers pressed on a free object.
     touches: Vec<rolling::Touch>,
 }
@@ -218,37 +224,18 @@ impl Clone for Workspace {
 impl World {
     /// A world with nothing in it.
     pub fn new(solver: Solver) -> Self {
-        let softness = solver.softness();
-        let parameters = IntegrationParameters {
-            dt: (1.0 / SUBSTEPS_PER_SECOND) as f32,
-            length_unit: (LENGTH_UNIT * SCALE) as f32,
-            num_solver_iterations: solver.iterations,
-            num_internal_pgs_iterations: 1,
-            num_internal_stabilization_iterations: 1,
-            contact_softness: softness,
-            static_contact_softness: softness,
-            friction_model: FrictionModel::Simplified,
-            normalized_max_corrective_velocity: (RECOVERY_SPEED / LENGTH_UNIT) as f32,
-            normalized_prediction_distance: (PREDICTION / LENGTH_UNIT) as f32,
-            friction_in_bias_pass: false,
-            warmstart_joints: false,
-            contact_recycling: true,
-            normalized_contact_recycle_distance: RECYCLE_DISTANCE,
-            contact_clustering: false, // `push_on` reads the manifolds
-            max_ccd_substeps: 1, // a needle that falls 5 mm moves by more than its wire's radius a substep
-            ..IntegrationParameters::default()
-        };
         Self {
-            parameters,
             solver,
             islands: IslandManager::new(),
             broad_phase: BroadPhaseBvh::default(),
             narrow_phase: NarrowPhase::new(),
             bodies: RigidBodySet::new(),
             colliders: ColliderSet::new(),
-            impulse_joints: ImpulseJointSet::new(),
-            multibody_joints: MultibodyJointSet::new(),
-            soft_bodies: SoftBodySet::new(),
+            hinges: Vec::new(),
+            springs: Vec::new(),
+            ties: Vec::new(),
+            driven: Vec::new(),
+            impulses: Vec::new(),
             free: Vec::new(),
             sprung: Vec::new(),
             others: Vec::new(),
@@ -257,6 +244,11 @@ impl World {
             furniture: Vec::new(),
             workspace: Workspace::default(),
         }
+    }
+
+    /// Sets how hard the solver works from now on.
+    pub fn set_solver(&mut self, solver: Solver) {
+        self.solver = solver;
     }
 
     /// Puts a body into the world. A free one starts asleep: it must lie at rest there.
@@ -269,7 +261,7 @@ impl World {
     ) -> BodyId {
         let (builder, density) = match motion {
             Motion::Fixed => (RigidBodyBuilder::fixed(), 0.0),
-            Motion::Driven => (RigidBodyBuilder::kinematic_position_based(), 0.0),
+            Motion::Driven => (RigidBodyBuilder::kinematic_velocity_based(), 0.0),
             Motion::Free { mass } => {
                 let volume: f64 = parts.iter().map(|part| part.shape.volume()).sum();
                 (RigidBodyBuilder::dynamic().sleeping(true), mass / volume)
@@ -293,7 +285,7 @@ impl World {
                 self.fixed.push(body);
                 self.survey(body);
             }
-            Motion::Driven => {}
+            Motion::Driven => self.driven.push((body, None)),
         }
         BodyId(body)
     }
@@ -339,75 +331,19 @@ impl World {
 
     /// Sets where a driven body will be at the end of the next substep.
     pub fn drive(&mut self, body: BodyId, world_from_body: &Pose) {
-        self.bodies[body.0].set_next_kinematic_position(frames::to_engine(world_from_body));
+        let next = Some(frames::to_engine(world_from_body));
+        let driven = self.driven.iter_mut().find(|(handle, _)| *handle == body.0);
+        driven.expect("it is a driven body").1 = next;
     }
 
     /// Lets one substep pass.
-    ///
-    /// The engine moves a body by the speed it has at the *end* of each solver iteration. Where nothing
-    /// touches it, half an iteration's gain in speed is therefore lent to it the other way round for the
-    /// substep, which makes of it the leapfrog scheme: what falls, falls by ½·g·t².
     pub fn advance(&mut self) {
         self.advance_others();
-        let solver = if self.is_calm() { Solver::CALM } else { self.solver };
-        self.parameters.num_solver_iterations = solver.iterations;
-        self.parameters.contact_softness = solver.softness();
-        self.parameters.static_contact_softness = solver.softness();
-        let iterations = SUBSTEPS_PER_SECOND * self.parameters.num_solver_iterations as f64;
-        let half_gain =
-            frames::to_engine_vector(&Vector3::new(0.0, 0.0, 0.5 * GRAVITY / iterations));
-        let mut falling = std::mem::take(&mut self.workspace.falling);
-        falling.clear();
-        falling.extend(self.free.iter().filter(|body| self.falls(**body)));
-        for body in &falling {
-            let body = &mut self.bodies[*body];
-            body.set_linvel(body.linvel() + half_gain, false);
-        }
-        self.step_engine();
-        for body in &falling {
-            let body = &mut self.bodies[*body];
-            body.set_linvel(body.linvel() - half_gain, false);
-        }
-        self.workspace.falling = falling;
+        self.advance_rigid();
         for body in &self.free {
             self.fastest = self.fastest.max(self.bodies[*body].linvel().length());
         }
         self.end_grips();
-    }
-
-    /// Whether no instrument takes part and no object is fast.
-    fn is_calm(&self) -> bool {
-        let slow = |body: &RigidBodyHandle| {
-            f64::from(self.bodies[*body].linvel().length()) < CALM_SPEED * SCALE
-        };
-        self.free.iter().all(slow)
-            && !self.bodies.iter().any(|(_, body)| body.is_enabled() && body.is_kinematic())
-    }
-
-    /// Whether a free body is awake and nothing pressed on it in the last substep.
-    fn falls(&self, body: RigidBodyHandle) -> bool {
-        let body = &self.bodies[body];
-        let mut parts = body.colliders().iter();
-        !body.is_sleeping()
-            && !parts.any(|part| self.narrow_phase.contact_pairs_with(*part).any(contact::presses))
-    }
-
-    fn step_engine(&mut self) {
-        self.workspace.pipeline.step(
-            gravity(),
-            &self.parameters,
-            &mut self.islands,
-            &mut self.broad_phase,
-            &mut self.narrow_phase,
-            &mut self.bodies,
-            &mut self.colliders,
-            &mut self.impulse_joints,
-            &mut self.multibody_joints,
-            &mut self.soft_bodies,
-            &mut self.workspace.ccd,
-            &points::Needed { held: &self.workspace.held },
-            &(),
-        );
     }
 
     /// Where a body is.
@@ -574,13 +510,10 @@ const SLEEP_AFTER: f32 = 0.25;
 
 /// Speed from which on an impact asks for the whole stiffness of contacts, m/s: at 250 Hz, what is slower
 /// enters what it meets by less than 0.13 mm, a quarter of the radius of a needle's wire.
-const CALM_SPEED: f64 = 0.2;
+const RESTING_SPEED: f64 = 0.2;
 
 /// Size of what is simulated, m: the engine's tolerances are fractions of it.
 const LENGTH_UNIT: f64 = 0.01;
-
-/// Relative drift up to which contacts are kept, in units of [`LENGTH_UNIT`]: 50 µm.
-const RECYCLE_DISTANCE: f32 = 0.005;
 
 /// Acceleration of free fall, engine units.
 fn gravity() -> EngineVector {

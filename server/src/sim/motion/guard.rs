@@ -5,7 +5,7 @@
 //! - **Yield**: where an object that is in the way pushes back too hard or is pressed into what is
 //!   behind it, an instrument goes back along its path instead of forward; just before, it waits.
 //!   Where its path does not lead out of what it presses on, or it is jammed, one that grips gives way,
-//!   as a real arm bends.
+//!   as a real arm bends. From what its own jaws crush it does not: that would come along.
 //! - **Crush**: jaws that press too deep into what they hold open: what they close on near their hinge
 //!   they would squeeze with many times their force at the tip, and keep.
 //! - **Static bodies** stop an instrument that grips before wrist or fingers are in them: fingers give way to
@@ -88,7 +88,7 @@ pub(super) fn drive(
         let is_level = overlap.into.z.abs() < LEVEL;
         if instrument.grips() && way.push.force.norm() > JAM_FORCE {
             way.aside += way.push.force.normalize() * ASIDE;
-        } else if stays_on && (instrument.grips() || is_level) {
+        } else if stays_on && !way.push.crushes && (instrument.grips() || is_level) {
             way.aside -= overlap.into * ASIDE;
         }
         let next = way.along(way.done, now, substeps);

@@ -1,11 +1,11 @@
 //! What bodies do to each other where they touch: forces and overlaps of the last substep.
 
+use arrayvec::ArrayVec;
 use nalgebra::{Point3, Vector3};
 use rapier3d::parry::bounding_volume::BoundingVolume;
 use rapier3d::parry::query;
-use rapier3d::prelude::{ColliderHandle, ContactPair};
+use rapier3d::prelude::{ColliderHandle, ContactPair, RigidBodyHandle};
 
-use super::points::pressing;
 use super::{BodyId, PREDICTION, SUBSTEPS_PER_SECOND, World};
 use crate::sim::frames::{self, Pose, SCALE};
 
@@ -21,7 +21,8 @@ pub struct Push {
     /// Deepest overlap of an object that touches; of that with the bodies asked for, where they squeeze
     /// the object from two sides, only what is beyond [`SQUEEZED`] counts.
     pub overlap: Overlap,
-    /// Whether the bodies asked for press deeper than [`SQUEEZED`] into what they squeeze.
+    /// Whether the bodies asked for press deeper than [`SQUEEZED`] into what they squeeze; locked jaws, whether
+    /// anything is between them.
     pub crushes: bool,
 }
 
@@ -91,37 +92,26 @@ impl World {
     /// How hard everything together pressed on a body in the last substep, from whatever side, N.
     pub fn pressure(&self, body: BodyId) -> f64 {
         let newtons = SUBSTEPS_PER_SECOND / f64::powi(SCALE, 4);
-        let parts = self.bodies[body.0].colliders().iter();
-        let pairs = parts.flat_map(|part| self.narrow_phase.contact_pairs_with(*part));
-        let contacts = pairs.flat_map(ContactPair::manifolds).flat_map(pressing);
-        contacts.map(|contact| newtons * f64::from(contact.data.impulse)).sum()
+        let touches = self.impulses.iter().filter(|touch| touch.bodies.contains(&body.0));
+        touches.map(|touch| newtons * f64::from(touch.impulse)).sum()
     }
 
     /// Where bodies pressed on each other in the last substep, to look at. What sleeps presses as it did
     /// when it fell asleep; what was never moved is not known to press on anything.
     pub fn contacts(&self) -> impl Iterator<Item = Contact> {
         let newtons = SUBSTEPS_PER_SECOND / (SCALE * SCALE * SCALE);
-        let pairs = self.narrow_phase.contact_pairs();
-        pairs.flat_map(move |pair| {
-            let parts = [pair.collider1, pair.collider2].map(|part| &self.colliders[part]);
-            let owners = parts.map(|part| part.parent().expect("every collider belongs to a body"));
-            let is_free = owners.map(|owner| self.free.contains(&owner));
-            // Normals point from the first collider to the second.
+        let pressing = self.impulses.iter().filter(|touch| touch.impulse > 0.0);
+        pressing.map(move |touch| {
+            let is_free = touch.bodies.map(|owner| self.free.contains(&owner));
+            // Normals point from the first to the second.
             let (feels, sign) =
                 if is_free[1] && !is_free[0] { (1, newtons) } else { (0, -newtons) };
-            let manifolds = pair.manifolds().iter();
-            manifolds.flat_map(move |manifold| {
-                let normal = frames::from_engine_vector(manifold.data.normal);
-                pressing(manifold).map(move |point| {
-                    let at = parts[0].position().transform_point(point.local_p1);
-                    Contact {
-                        on: BodyId(owners[feels]),
-                        by: BodyId(owners[1 - feels]),
-                        point: frames::from_engine_vector(at).into(),
-                        force: normal * (sign * f64::from(point.data.impulse)),
-                    }
-                })
-            })
+            Contact {
+                on: BodyId(touch.bodies[feels]),
+                by: BodyId(touch.bodies[1 - feels]),
+                point: frames::from_engine_vector(touch.point).into(),
+                force: frames::from_engine_vector(touch.normal) * (sign * f64::from(touch.impulse)),
+            }
         })
     }
 
@@ -145,38 +135,31 @@ impl World {
         // An engine force is SCALE³ (mass) · SCALE (length) of the real one.
         let newtons = SUBSTEPS_PER_SECOND / (SCALE * SCALE * SCALE);
         let mut push = Push::NONE;
-        for handle in instrument.iter().flat_map(|body| self.bodies[body.0].colliders()) {
-            let collider = &self.colliders[*handle];
-            for pair in self.narrow_phase.contact_pairs_with(*handle) {
-                // Contact normals point from the first collider to the second.
-                let first = pair.collider1 == *handle;
-                let met = if first { pair.collider2 } else { pair.collider1 };
-                let owner = self.colliders[met].parent();
-                if instrument.iter().any(|body| Some(body.0) == owner) {
-                    continue;
-                }
-                let sign = if first { -newtons } else { newtons };
-                let mut touches = false;
-                for manifold in pair.manifolds() {
-                    let normal = frames::from_engine_vector(manifold.data.normal);
-                    for contact in pressing(manifold) {
-                        let force = normal * (sign * f64::from(contact.data.impulse));
-                        push.force += force;
-                        touches = true;
-                        if force.norm() > push.strongest {
-                            let local = if first { contact.local_p1 } else { contact.local_p2 };
-                            let point = collider.position().transform_point(local);
-                            push.strongest = force.norm();
-                            push.point = frames::from_engine_vector(point).into();
-                        }
-                    }
-                }
-                if touches {
-                    let (overlap, crushes) = self.overlap_of(met, instrument);
-                    push.overlap = push.overlap.or(overlap);
-                    push.crushes |= crushes;
-                }
+        let is_own = |body| instrument.iter().any(|own| own.0 == body);
+        let mut met: ArrayVec<RigidBodyHandle, 8> = ArrayVec::new();
+        for touch in self.impulses.iter().filter(|touch| touch.impulse > 0.0) {
+            let own = touch.bodies.map(is_own);
+            if own[0] == own[1] {
+                continue;
             }
+            // Normals point from the first to the second.
+            let (sign, other) = if own[0] { (-newtons, 1) } else { (newtons, 0) };
+            let normal = frames::from_engine_vector(touch.normal);
+            let force = normal * (sign * f64::from(touch.impulse));
+            push.force += force;
+            if force.norm() > push.strongest {
+                push.strongest = force.norm();
+                push.point = frames::from_engine_vector(touch.point).into();
+            }
+            let other = touch.bodies[other];
+            if !met.contains(&other) {
+                met.try_push(other).ok();
+            }
+        }
+        for body in met {
+            let (overlap, crushes) = self.overlap_of(body, instrument);
+            push.overlap = push.overlap.or(overlap);
+            push.crushes |= crushes;
         }
         push
     }
@@ -214,18 +197,14 @@ impl World {
 
     /// Whether two bodies pressed on each other in the last substep.
     pub fn touch(&self, one: BodyId, other: BodyId) -> bool {
-        self.bodies[one.0].colliders().iter().any(|handle| {
-            self.narrow_phase.contact_pairs_with(*handle).any(|pair| {
-                let met = if pair.collider1 == *handle { pair.collider2 } else { pair.collider1 };
-                self.colliders[met].parent() == Some(other.0) && presses(pair)
-            })
+        self.impulses.iter().any(|touch| {
+            touch.impulse > 0.0 && touch.bodies.contains(&one.0) && touch.bodies.contains(&other.0)
         })
     }
 
     /// Deepest overlap of any part of the body that `part` belongs to; of that with the bodies of
     /// `instrument`, where these squeeze it, only what is beyond [`SQUEEZED`]. And whether any is.
-    fn overlap_of(&self, part: ColliderHandle, instrument: &[BodyId]) -> (Overlap, bool) {
-        let body = self.colliders[part].parent().expect("every collider belongs to a body");
+    fn overlap_of(&self, body: RigidBodyHandle, instrument: &[BodyId]) -> (Overlap, bool) {
         let touching = instrument.iter().filter(|each| self.touch(**each, BodyId(body)));
         let is_squeezed = touching.count() > 1;
         let is_instruments = |part: ColliderHandle| {
@@ -266,9 +245,4 @@ impl World {
         }
         (deepest, is_crushed)
     }
-}
-
-/// Whether two parts pressed on each other in the last substep.
-pub(super) fn presses(pair: &ContactPair) -> bool {
-    pair.manifolds().iter().any(|manifold| pressing(manifold).next().is_some())
 }

@@ -1,24 +1,20 @@
 //! Bodies that hang on driven ones by a hinge with a motor: the fingers of jaws.
 //!
-//! The carrier bears all but the turn about the hinge, whatever pushes. So a hinged body has its centre of
-//! mass on the hinge, and its inertia is the real one only where it turns; for all else it is so heavy that
-//! nothing moves it. What it does to an object is then governed by its motor, the only row that the solver has
-//! for a hinge. The rest is kept by velocities: at the start of a substep the body gets those that bring it
-//! to where its carrier will be. (With five more rows, NeedleRegrasp's random steps took 1.28 times as long.)
+//! The carrier bears all but the turn about the hinge, whatever pushes. So the solver gives a hinged body that one
+//! degree of freedom, with its inertia about the hinge and a motor. The rest is kept by velocities: at the start of a
+//! substep the body gets those that bring it to where its carrier will be.
 
 use nalgebra::{Unit, UnitQuaternion, Vector3};
 use rapier3d::math::Vector as EngineVector;
+use rapier3d::parry::utils::SdpMatrix3;
 use rapier3d::prelude::{
-    ActiveHooks, GenericJointBuilder, Group, ImpulseJointHandle, InteractionGroups,
-    InteractionTestMode, JointAxesMask, JointAxis, MassProperties, MotorModel, RigidBodyBuilder,
+    Group, InteractionGroups, InteractionTestMode, MassProperties, RigidBody, RigidBodyBuilder,
+    RigidBodyHandle,
 };
 
+use super::constraint::{Constraints, Joint, SolverBody, Spatial};
 use super::{BodyId, Part, SUBSTEPS_PER_SECOND, World, collider};
 use crate::sim::frames::{self, Pose, SCALE};
-
-/// How much heavier than it is a hinged body is for what its carrier bears. The engine takes what has no finite
-/// mass for what nothing turns either.
-const BORNE: f64 = 1e6;
 
 /// Stiffness of the motor per inertia, 1/s²: its frequency is about half the rate of the solver's
 /// iterations over 2π.
@@ -27,12 +23,6 @@ const STIFFNESS: f64 = 1e6;
 /// Distance from a limit below which the solver has a row for it, rad. Nothing turns a finger by as much within
 /// a substep.
 const NEAR_LIMIT: f64 = 0.15;
-
-/// Contacts of hinged bodies are looked through by [`points`](super::points), and so computed afresh in every
-/// substep. The engine keeps those of bodies that hardly move against each other as they were *in the world*
-/// until both have turned by 11°; a jaw that turns with what it holds would press and drag along stale
-/// normals, and what is held creeps out of it.
-const LOOKED_THROUGH: ActiveHooks = ActiveHooks::MODIFY_SOLVER_CONTACTS;
 
 /// What a hinged body is like.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -60,8 +50,43 @@ impl Hinge {
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct HingedId {
     body: BodyId,
-    joint: ImpulseJointHandle,
     axis: Unit<Vector3<f64>>,
+}
+
+/// A hinge, in engine units.
+#[derive(Debug, Clone)]
+pub(super) struct Hung {
+    pub carrier: RigidBodyHandle,
+    pub body: RigidBodyHandle,
+    pub axis: EngineVector,
+    pub inertia: f32,
+    pub limits: [f32; 2],
+    pub is_near_limit: bool,
+    pub angle: f32,
+    pub target: f32,
+}
+
+impl Hung {
+    /// What rows can do to the body: they turn it about the hinge.
+    pub(super) fn solver_body(&self, body: &RigidBody) -> SolverBody {
+        let axis = body.rotation().mul_vec3(self.axis);
+        let turn = axis / self.inertia;
+        SolverBody {
+            velocity: Spatial::new(body.linvel(), body.angvel()),
+            acceleration: Spatial::default(),
+            inverse_mass: EngineVector::ZERO,
+            inverse_inertia: SdpMatrix3 {
+                m11: turn.x * axis.x,
+                m12: turn.x * axis.y,
+                m13: turn.x * axis.z,
+                m22: turn.y * axis.y,
+                m23: turn.y * axis.z,
+                m33: turn.z * axis.z,
+            },
+            displacement: Spatial::default(),
+            is_pushed: true, // its velocity is that of its carrier
+        }
+    }
 }
 
 impl HingedId {
@@ -75,18 +100,15 @@ impl World {
     /// Hangs a body on the driven body `carrier`. It meets everything but its carrier and what else
     /// hangs on that.
     pub fn insert_hinged(&mut self, carrier: BodyId, hinge: &Hinge, parts: &[Part]) -> HingedId {
-        // The axis is one of the body's, so its inertia is diagonal.
-        let factors = Vector3::repeat(BORNE) - hinge.axis.abs() * (BORNE - 1.0);
+        // It turns about the hinge, so that is where its centre of mass is for the engine.
         let mass = MassProperties::new(
             EngineVector::ZERO,
-            (hinge.mass * BORNE * f64::powi(SCALE, 3)) as f32,
-            unscaled(&(factors * (hinge.inertia * f64::powi(SCALE, 5)))),
+            (hinge.mass * f64::powi(SCALE, 3)) as f32,
+            EngineVector::splat((hinge.inertia * f64::powi(SCALE, 5)) as f32),
         );
         let body = RigidBodyBuilder::dynamic()
             .pose(*self.bodies[carrier.0].position())
             .additional_mass_properties(mass)
-            .gravity_scale(0.0)
-            .gyroscopic_forces_enabled(false) // none about the hinge, where both other moments are alike
             .can_sleep(false);
         let body = self.bodies.insert(body);
         let own = self.group_of(carrier);
@@ -97,20 +119,34 @@ impl World {
                 .position(frames::to_engine(&part.body_from_part))
                 .density(0.0)
                 .friction(hinge.friction as f32)
-                .collision_groups(groups)
-                .active_hooks(LOOKED_THROUGH);
+                .collision_groups(groups);
             self.colliders.insert_with_parent(collider, body, &mut self.bodies);
         }
-        let axis = unscaled(&hinge.axis);
-        let joint = GenericJointBuilder::new(JointAxesMask::empty())
-            .local_axis1(axis)
-            .local_axis2(axis)
-            .contacts_enabled(false)
-            .limits(JointAxis::AngX, hinge.limits.map(|limit| limit as f32))
-            .motor_model(JointAxis::AngX, MotorModel::AccelerationBased)
-            .motor_position(JointAxis::AngX, 0.0, STIFFNESS as f32, DAMPING as f32);
-        let joint = self.impulse_joints.insert(carrier.0, body, joint, true);
-        HingedId { body: BodyId(body), joint, axis: hinge.axis }
+        self.hinges.push(Hung {
+            carrier: carrier.0,
+            body,
+            axis: unscaled(&hinge.axis),
+            inertia: (hinge.inertia * f64::powi(SCALE, 5)) as f32,
+            limits: hinge.limits.map(|limit| limit as f32),
+            is_near_limit: false,
+            angle: 0.0,
+            target: 0.0,
+        });
+        HingedId { body: BodyId(body), axis: hinge.axis }
+    }
+
+    /// Adds the rows of a hinge: the motor, and the limits where it is near one.
+    pub(super) fn add_hinge(&self, hinge: &Hung, number: usize, constraints: &mut Constraints) {
+        let axis = self.bodies[hinge.body].rotation().mul_vec3(hinge.axis);
+        let jacobian = Spatial::new(EngineVector::ZERO, axis);
+        let rate = self.bodies[hinge.carrier].angvel().dot(axis);
+        let (position, target, limits) = (hinge.angle, hinge.target, hinge.limits);
+        let (stiffness, damping) = (STIFFNESS as f32, DAMPING as f32);
+        let motor = Joint::Motor { position, target, stiffness, damping, per_inertia: true };
+        constraints.add_joint(number, jacobian, rate, motor);
+        if hinge.is_near_limit {
+            constraints.add_joint(number, jacobian, rate, Joint::Limit { position, limits });
+        }
     }
 
     /// The collision group of what hangs on `carrier`: each carrier has its own, from the second on.
@@ -149,13 +185,11 @@ impl World {
 
     /// The angle to which the motor of a hinged body turns it, from the angle where it is, rad.
     pub fn turn_hinged(&mut self, hinged: &HingedId, angle: f64, target: f64) {
-        let joint =
-            &mut self.impulse_joints.get_mut(hinged.joint, false).expect("joints stay").data;
-        joint.set_motor_position(JointAxis::AngX, target as f32, STIFFNESS as f32, DAMPING as f32);
-        let limits = joint.limits[JointAxis::AngX as usize];
-        let [least, most] = [limits.min, limits.max].map(f64::from);
-        let is_near = angle < least + NEAR_LIMIT || angle > most - NEAR_LIMIT;
-        joint.limit_axes.set(JointAxesMask::ANG_X, is_near);
+        let hinge = self.hinges.iter_mut().find(|hinge| hinge.body == hinged.body.0);
+        let hinge = hinge.expect("hinges stay");
+        let [least, most] = hinge.limits.map(f64::from);
+        hinge.is_near_limit = angle < least + NEAR_LIMIT || angle > most - NEAR_LIMIT;
+        (hinge.angle, hinge.target) = (angle as f32, target as f32);
     }
 
     /// How far a hinged body is turned, rad.
@@ -169,14 +203,14 @@ impl World {
     }
 
     fn carrier(&self, hinged: &HingedId) -> BodyId {
-        BodyId(self.impulse_joints.get(hinged.joint).expect("joints stay").body1())
+        let hinge = self.hinges.iter().find(|hinge| hinge.body == hinged.body.0);
+        BodyId(hinge.expect("hinges stay").carrier)
     }
 
     /// The pairs of bodies that a joint ties together, springs aside.
     pub fn joints(&self) -> impl Iterator<Item = [BodyId; 2]> {
-        let pairs = self.impulse_joints.iter();
-        let pairs = pairs.map(|(_, joint)| [BodyId(joint.body1()), BodyId(joint.body2())]);
-        pairs.filter(|[_, body]| !self.sprung.contains(&body.0))
+        let hinged = self.hinges.iter().map(|hinge| [BodyId(hinge.carrier), BodyId(hinge.body)]);
+        hinged.chain(self.ties.iter().map(|tie| tie.id.bodies().map(BodyId)))
     }
 }
 

@@ -9,7 +9,6 @@
 use rapier3d::math::{Matrix, Vector};
 use rapier3d::prelude::RigidBodyHandle;
 
-use super::points::pressing;
 use super::{BodyId, SUBSTEPS_PER_SECOND, World, gravity};
 use crate::sim::frames::SCALE;
 
@@ -18,7 +17,7 @@ const POINT: f64 = 0.1e-3;
 
 /// How much of the friction is used here. The engine's rows still have all of it: with both, a wire turns by 9°
 /// at 0.9 of the couple that friction at both sides bears, and rolls away at 1.25 of it.
-const SHARE: f32 = 0.6;
+const SHARE: f32 = 0.5;
 
 /// A place where a finger pressed on an object in the last substep, engine units.
 pub(super) struct Touch {
@@ -33,7 +32,7 @@ pub(super) struct Touch {
 
 impl World {
     /// Makes what both `fingers` pressed on in the last substep roll no faster between them than they turn
-    /// themselves, as far as friction goes, and takes note of what nothing else is near to.
+    /// themselves, as far as friction goes.
     pub fn resist_rolling(&mut self, fingers: [BodyId; 2]) {
         let rate = fingers.map(|finger| self.bodies[finger.0].angvel());
         let mut touches = std::mem::take(&mut self.workspace.touches);
@@ -46,9 +45,6 @@ impl World {
                 touches.len() > others
             });
             if is_gripped {
-                if self.meets_only(object, fingers) {
-                    self.workspace.held.push(object);
-                }
                 self.stop_rolling(object, &touches, 0.5 * (rate[0] + rate[1]));
             }
         }
@@ -57,24 +53,11 @@ impl World {
 
     /// Ends what was said of grips for the substep that has passed.
     pub(super) fn end_grips(&mut self) {
-        self.workspace.held.clear();
         for body in &self.free {
             if self.bodies[*body].user_torque() != Vector::ZERO {
                 self.bodies[*body].reset_torques(false);
             }
         }
-    }
-
-    /// Whether nothing but `fingers` is near enough to `object` for contacts to be looked at.
-    fn meets_only(&self, object: RigidBodyHandle, fingers: [BodyId; 2]) -> bool {
-        self.bodies[object].colliders().iter().all(|part| {
-            self.narrow_phase.contact_pairs_with(*part).all(|pair| {
-                let met = if pair.collider1 == *part { pair.collider2 } else { pair.collider1 };
-                let is_finger = |finger: &BodyId| self.colliders[met].parent() == Some(finger.0);
-                pair.manifolds().iter().all(|manifold| manifold.points.is_empty())
-                    || fingers.iter().any(is_finger)
-            })
-        })
     }
 
     /// Where `finger`, the one of this number, pressed on `object`.
@@ -85,24 +68,15 @@ impl World {
         finger: RigidBodyHandle,
         touches: &mut Vec<Touch>,
     ) {
-        for part in self.bodies[finger].colliders() {
-            for pair in self.narrow_phase.contact_pairs_with(*part) {
-                let [first, second] =
-                    [pair.collider1, pair.collider2].map(|part| &self.colliders[part]);
-                let met = if pair.collider1 == *part { second } else { first };
-                if met.parent() != Some(object) {
-                    continue;
-                }
-                let coefficient = 0.5 * (first.friction() + second.friction());
-                let contacts = pair.manifolds().iter().flat_map(pressing);
-                touches.extend(contacts.map(|contact| Touch {
-                    finger: number,
-                    point: first.position().transform_point(contact.local_p1),
-                    impulse: contact.data.impulse,
-                    friction: coefficient * contact.data.impulse,
-                }));
-            }
-        }
+        let pressing = self.impulses.iter().filter(|touch| {
+            touch.impulse > 0.0 && touch.bodies.contains(&finger) && touch.bodies.contains(&object)
+        });
+        touches.extend(pressing.map(|touch| Touch {
+            finger: number,
+            point: touch.point,
+            impulse: touch.impulse,
+            friction: touch.friction * touch.impulse,
+        }));
     }
 
     /// Stops an object that turns otherwise than with `rate` about the line along which it is touched, or

@@ -3,12 +3,10 @@
 //! Such a body moves up and down only, from where it is put to a hard stop below. The engine solves spring
 //! and damper together with the contacts, so what lies on it sinks by its weight over the stiffness.
 
-use rapier3d::math::Vector as EngineVector;
-use rapier3d::prelude::{
-    GenericJointBuilder, ImpulseJointHandle, JointAxesMask, JointAxis, LockedAxes, MotorModel,
-    RigidBodyBuilder,
-};
+use rapier3d::math::Vector;
+use rapier3d::prelude::{LockedAxes, RigidBodyBuilder, RigidBodyHandle};
 
+use super::constraint::{Constraints, Joint, Spatial};
 use super::{BodyId, Part, SLEEP_AFTER, World, collider};
 use crate::sim::frames::{self, Pose, SCALE};
 
@@ -34,11 +32,21 @@ pub struct SprungId {
     body: BodyId,
     /// Its mass, kg.
     mass: f64,
-    joint: ImpulseJointHandle,
     /// What it is pressed against in the end.
     stop: BodyId,
     /// Where the stop would be for a spring that does not give.
     world_from_stop: Pose,
+}
+
+/// A spring, in engine units.
+#[derive(Debug, Clone)]
+pub(super) struct Sprung {
+    pub base: RigidBodyHandle,
+    pub body: RigidBodyHandle,
+    /// Height of the body without load.
+    pub rest: f32,
+    pub stiffness: f32,
+    pub damping: f32,
 }
 
 impl SprungId {
@@ -85,20 +93,24 @@ impl World {
             let collider = collider(&part.shape).position(frames::to_engine(&part.body_from_part));
             self.colliders.insert_with_parent(collider, stop, &mut self.bodies);
         }
-        let base_from_body = self.pose(base).inverse() * world_from_body;
-        let joint = GenericJointBuilder::new(JointAxesMask::empty())
-            .local_axis1(EngineVector::Z)
-            .local_axis2(EngineVector::Z)
-            .local_anchor1(frames::to_engine_vector(&base_from_body.translation.vector))
-            .contacts_enabled(false)
-            .limits(JointAxis::LinX, [f32::NEG_INFINITY, 0.0])
-            .motor_model(JointAxis::LinX, MotorModel::ForceBased);
-        let joint = self.impulse_joints.insert(base.0, body, joint, false);
+        let rest = frames::to_engine_vector(&world_from_body.translation.vector).z;
+        self.springs.push(Sprung { base: base.0, body, rest, stiffness: 0.0, damping: 0.0 });
         self.sprung.push(body);
         let (body, stop) = (BodyId(body), BodyId(stop));
-        let sprung = SprungId { body, mass, joint, stop, world_from_stop };
+        let sprung = SprungId { body, mass, stop, world_from_stop };
         self.set_spring(&sprung, spring);
         sprung
+    }
+
+    /// Adds the rows of a spring: spring and damper, and the stop above, where it has no load.
+    pub(super) fn add_spring(&self, spring: &Sprung, number: usize, constraints: &mut Constraints) {
+        let jacobian = Spatial::new(Vector::Z, Vector::ZERO);
+        let position = self.bodies[spring.body].translation().z - spring.rest;
+        let Sprung { stiffness, damping, .. } = *spring;
+        let motor = Joint::Motor { position, target: 0.0, stiffness, damping, per_inertia: false };
+        constraints.add_joint(number, jacobian, 0.0, motor);
+        let limits = [f32::NEG_INFINITY, 0.0];
+        constraints.add_joint(number, jacobian, 0.0, Joint::Limit { position, limits });
     }
 
     /// Gives a body another spring.
@@ -107,8 +119,9 @@ impl World {
         // An engine force is SCALE³ (mass) · SCALE (length) of the real one.
         let [stiffness, damping] =
             [stiffness, damping].map(|number| (number * f64::powi(SCALE, 3)) as f32);
-        let joint = self.impulse_joints.get_mut(sprung.joint, false).expect("joints stay");
-        joint.data.set_motor_position(JointAxis::LinX, 0.0, stiffness, damping);
+        let own = self.springs.iter_mut().find(|spring| spring.body == sprung.body.0);
+        let own = own.expect("springs stay");
+        (own.stiffness, own.damping) = (stiffness, damping);
         self.place(sprung.stop, &(Pose::translation(0.0, 0.0, -travel) * sprung.world_from_stop));
     }
 }
