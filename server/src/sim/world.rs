@@ -191,8 +191,6 @@ pub struct World {
     /// What bodies did to each other in the last substep.
     impulses: Vec<substep::ContactImpulse>,
     free: Vec<RigidBodyHandle>,
-    /// The bodies on springs.
-    sprung: Vec<RigidBodyHandle>,
     /// The bodies that are not rigid.
     others: Vec<Box<dyn NonRigid>>,
     /// Greatest speed of a free object in any substep, engine units.
@@ -203,7 +201,7 @@ pub struct World {
     workspace: Workspace,
 }
 
-/// Memory that the engine reuses from step to step and that holds no state.
+/// Memory that is used again from substep to substep and that holds no state.
 #[derive(Default)]
 struct Workspace {
     collisions: CollisionPipeline,
@@ -237,7 +235,6 @@ impl World {
             driven: Vec::new(),
             impulses: Vec::new(),
             free: Vec::new(),
-            sprung: Vec::new(),
             others: Vec::new(),
             fastest: 0.0,
             fixed: Vec::new(),
@@ -426,7 +423,7 @@ impl World {
 
     /// All that forces move: the free objects, then the bodies on springs.
     fn moving(&self) -> impl Iterator<Item = &RigidBodyHandle> {
-        self.free.iter().chain(&self.sprung)
+        self.free.iter().chain(self.springs.iter().map(|spring| &spring.body))
     }
 
     /// Whether everything that forces move, of whatever kind, rests: then nothing changes until something touches one.
@@ -511,9 +508,6 @@ const SLEEP_AFTER: f32 = 0.25;
 /// Speed from which on an impact asks for the whole stiffness of contacts, m/s: at 250 Hz, what is slower
 /// enters what it meets by less than 0.13 mm, a quarter of the radius of a needle's wire.
 const RESTING_SPEED: f64 = 0.2;
-
-/// Size of what is simulated, m: the engine's tolerances are fractions of it.
-const LENGTH_UNIT: f64 = 0.01;
 
 /// Acceleration of free fall, engine units.
 fn gravity() -> EngineVector {

@@ -13,195 +13,17 @@
 //!
 //! Friction of a manifold is a disc of two tangents at the middle of its points, and a torque about the normal.
 
-use rapier3d::glamx::Vec4;
 use rapier3d::math::Vector;
-use rapier3d::parry::utils::SdpMatrix3;
 
-use super::{CONTACT_DAMPING, RECOVERY_SPEED, Solver};
-use crate::sim::frames::SCALE;
+use super::Solver;
+use algebra::{inverse, inverse_of, sum, tangents};
+use rows::{JointRow, Manifold, Row, STATIC, Step, recovery};
 
-/// A linear and an angular vector: a velocity, or what a row makes of one. The fourth numbers are 0.
-#[derive(Debug, Clone, Copy, Default)]
-pub(super) struct Spatial {
-    linear: Vec4,
-    angular: Vec4,
-}
+mod algebra;
+mod rows;
 
-impl Spatial {
-    pub(super) fn new(linear: Vector, angular: Vector) -> Self {
-        Self { linear: linear.extend(0.0), angular: angular.extend(0.0) }
-    }
-
-    pub(super) fn linear(&self) -> Vector {
-        self.linear.truncate()
-    }
-
-    pub(super) fn angular(&self) -> Vector {
-        self.angular.truncate()
-    }
-
-    fn add_scaled(&mut self, other: &Self, factor: f32) {
-        self.linear += other.linear * factor;
-        self.angular += other.angular * factor;
-    }
-
-    /// What is to be summed up for the scalar product.
-    fn products(&self, other: &Self) -> Vec4 {
-        self.linear * other.linear + self.angular * other.angular
-    }
-
-    fn dot(&self, other: &Self) -> f32 {
-        sum(self.products(other))
-    }
-}
-
-/// In the same order on every processor.
-fn sum(numbers: Vec4) -> f32 {
-    (numbers.x + numbers.z) + (numbers.y + numbers.w)
-}
-
-/// A body that rows move, in engine units.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct SolverBody {
-    /// Of the centre of mass: at the beginning of the substep, then at its end.
-    pub velocity: Spatial,
-    /// What forces give.
-    pub acceleration: Spatial,
-    /// 1/mass along each axis.
-    pub inverse_mass: Vector,
-    /// Inverse of the inertia, world frame.
-    pub inverse_inertia: SdpMatrix3<f32>,
-    /// How far it moves in the substep: the way of its centre of mass, and a rotation vector.
-    pub displacement: Spatial,
-    /// Whether any row pushed it.
-    pub is_pushed: bool,
-}
-
-/// One direction in which two bodies move against each other.
-#[derive(Debug, Clone, Copy)]
-struct Row {
-    /// The second one may be [`STATIC`].
-    bodies: [usize; 2],
-    jacobians: [Spatial; 2],
-    /// What a unit impulse adds to the velocities: M⁻¹·Jᵀ.
-    responses: [Spatial; 2],
-    /// The part of the velocity that no impulse changes: that of driven bodies.
-    drift: f32,
-    /// J·M⁻¹·Jᵀ, the velocity that a unit impulse gives, and its inverse.
-    mobility: f32,
-    mass: f32,
-    /// Of a contact's point: the distance of both surfaces at the beginning, and that from the manifold's middle.
-    distance: f32,
-    lever: f32,
-    /// Of a contact's point: the share of an overlap that is undone in a unit of time, and how much of an impulse stays.
-    rate: f32,
-    softness: f32,
-    /// The impulse of this iteration.
-    impulse: f32,
-    /// That of all iterations.
-    total: f32,
-}
-
-/// What a row of a joint does.
-#[derive(Debug, Clone, Copy)]
-pub(super) enum Joint {
-    /// A spring and damper towards `target`; both per inertia, or not.
-    Motor { position: f32, target: f32, stiffness: f32, damping: f32, per_inertia: bool },
-    /// Keeps the position within limits.
-    Limit { position: f32, limits: [f32; 2] },
-    /// Keeps the position at 0; with the impulse to begin with.
-    Lock { position: f32, impulse: f32 },
-}
-
-impl Joint {
-    fn is_lock(&self) -> bool {
-        matches!(self, Self::Lock { .. })
-    }
-}
-
-/// A row of a joint, with what follows from it and the length of an iteration.
-#[derive(Debug, Clone, Copy)]
-struct JointRow {
-    row: usize,
-    joint: Joint,
-    /// Share of an error that is undone in a unit of time.
-    rate: f32,
-    /// The velocity by which a unit impulse gives in.
-    softness: f32,
-    /// 1 / (mobility + softness).
-    mass: f32,
-    /// How far both bodies had moved at the beginning of the iteration.
-    moved: f32,
-}
-
-impl JointRow {
-    fn prepare(&mut self, dt: f32, mobility: f32) {
-        (self.rate, self.softness) = match self.joint {
-            Joint::Motor { stiffness, damping, per_inertia, .. } => {
-                let softness = 1.0 / (dt * (dt * stiffness + damping));
-                let scale = if per_inertia { mobility } else { 1.0 };
-                (stiffness / (dt * stiffness + damping), scale * softness)
-            }
-            Joint::Limit { .. } | Joint::Lock { .. } => (1.0 / dt, 0.0),
-        };
-        self.mass = inverse(mobility + self.softness);
-    }
-}
-
-/// One of two bodies that touch.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct ContactSide {
-    /// Its number, if rows move it.
-    pub body: Option<usize>,
-    /// The point about which it turns.
-    pub centre: Vector,
-    /// Its velocity, if no row moves it.
-    pub velocity: Spatial,
-}
-
-/// A point at which two bodies touch.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct ContactPoint {
-    /// Where, world frame.
-    pub point: Vector,
-    /// Distance of both surfaces there.
-    pub distance: f32,
-    /// The impulse to begin with.
-    pub impulse: f32,
-}
-
-/// What a point of a contact bore.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct PointImpulse {
-    /// Along the normal, in all of the substep.
-    pub total: f32,
-    /// Along the normal, in the last iteration.
-    pub last: f32,
-    /// That of the manifold, in the last iteration.
-    pub friction: Friction,
-}
-
-/// The impulses of friction of a manifold in one iteration.
-#[derive(Debug, Clone, Copy, Default)]
-pub(super) struct Friction {
-    /// Across the normal, world frame.
-    pub tangent: Vector,
-    /// About the normal.
-    pub twist: f32,
-}
-
-/// The rows of two parts that touch: the points, then perhaps the twist, then both tangents.
-#[derive(Debug, Clone, Copy)]
-struct Manifold {
-    first: usize,
-    points: usize,
-    twist: Option<usize>,
-    tangent: usize,
-    axes: [Vector; 2],
-    /// Inverse of the mobility of both tangents: of each alone, and mixed.
-    inverse: [f32; 3],
-    coefficient: f32,
-}
+pub(super) use algebra::Spatial;
+pub(super) use rows::{ContactPoint, ContactSide, Friction, Joint, PointImpulse, SolverBody};
 
 /// Bodies and the rows between them; one island.
 #[derive(Debug, Default)]
@@ -213,15 +35,6 @@ pub(super) struct Constraints {
     /// Velocities at the beginning of an iteration.
     before: Vec<Spatial>,
 }
-
-/// The number of what no row moves.
-const STATIC: usize = usize::MAX;
-
-/// Mobility up to which a row moves nothing, engine units: that of a ton.
-const IMMOVABLE: f32 = 1e-9;
-
-/// Share of the trace's square up to which a determinant counts as 0: ten times what rounding leaves.
-const SINGULAR: f32 = 1e-6;
 
 impl Constraints {
     /// Removes everything.
@@ -577,68 +390,4 @@ impl Constraints {
             rows.map(move |row| PointImpulse { total: row.total, last: row.impulse, friction })
         })
     }
-}
-
-/// What the rows of one iteration have in common.
-struct Step {
-    dt: f32,
-    inverse_dt: f32,
-    /// Natural frequency of contacts, rad/s.
-    omega: f32,
-    /// The least stiffness of contacts, engine units.
-    stiffness: f32,
-}
-
-impl Step {
-    fn new(dt: f32, solver: &Solver) -> Self {
-        let dt = dt / solver.iterations as f32;
-        Self {
-            dt,
-            inverse_dt: 1.0 / dt,
-            omega: solver.contact_frequency as f32 * std::f32::consts::TAU,
-            stiffness: (solver.least_stiffness * SCALE * SCALE * SCALE) as f32,
-        }
-    }
-
-    /// The share of an overlap that a contact undoes in a unit of time, and how much of its impulse stays: a spring and
-    /// damper of natural frequency ω and damping ratio ζ, integrated implicitly.
-    fn softness(&self, mobility: f32) -> (f32, f32) {
-        let omega = (self.stiffness * mobility).sqrt().max(self.omega);
-        let damped = 2.0 * CONTACT_DAMPING + self.dt * omega;
-        let stiff = self.dt * omega * damped;
-        (omega / damped, stiff / (1.0 + stiff))
-    }
-}
-
-/// No faster than overlaps are undone.
-fn recovery(speed: f32) -> f32 {
-    let most = (RECOVERY_SPEED * SCALE) as f32;
-    speed.clamp(-most, most)
-}
-
-fn inverse(mobility: f32) -> f32 {
-    if mobility > IMMOVABLE { 1.0 / mobility } else { 0.0 }
-}
-
-/// The inverse of a symmetric matrix by its diagonal and the number beside it. Where what it stands for moves along one
-/// line only, the pseudoinverse.
-fn inverse_of([one, other, mixed]: [f32; 3]) -> [f32; 3] {
-    let determinant = one * other - mixed * mixed;
-    let trace = one + other;
-    if determinant > SINGULAR * trace * trace {
-        let inverse = 1.0 / determinant;
-        return [other * inverse, one * inverse, -mixed * inverse];
-    }
-    let inverse = inverse(trace);
-    [one, other, mixed].map(|number| number * inverse * inverse)
-}
-
-/// Two directions across another one; a right-handed frame with it (Duff et al. 2017).
-fn tangents(direction: Vector) -> [Vector; 2] {
-    let sign = 1.0_f32.copysign(direction.z);
-    let a = -1.0 / (sign + direction.z);
-    let b = direction.x * direction.y * a;
-    let first =
-        Vector::new(1.0 + sign * direction.x * direction.x * a, sign * b, -sign * direction.x);
-    [first, direction.cross(first)]
 }

@@ -2,11 +2,11 @@
 
 use rapier3d::prelude::{ContactPair, RigidBodyHandle};
 
-use super::{LENGTH_UNIT, SUBSTEPS_PER_SECOND, World};
+use super::{SUBSTEPS_PER_SECOND, World};
 use crate::sim::frames::SCALE;
 
 /// Velocity below which a body may fall asleep, m/s.
-const STILL: f64 = 0.05 * LENGTH_UNIT;
+const STILL: f64 = 0.5e-3;
 
 /// Rate of turning below which it may, rad/s.
 const STILL_TURN: f32 = 0.5;

@@ -95,7 +95,6 @@ impl World {
         }
         let rest = frames::to_engine_vector(&world_from_body.translation.vector).z;
         self.springs.push(Sprung { base: base.0, body, rest, stiffness: 0.0, damping: 0.0 });
-        self.sprung.push(body);
         let (body, stop) = (BodyId(body), BodyId(stop));
         let sprung = SprungId { body, mass, stop, world_from_stop };
         self.set_spring(&sprung, spring);
@@ -152,7 +151,8 @@ mod tests {
     }
 
     fn run(world: &mut World, seconds: f64) -> Vec<f64> {
-        let height = |world: &World| world.pose(BodyId(world.sprung[0])).translation.z + 1.5e-3;
+        let height =
+            |world: &World| world.pose(BodyId(world.springs[0].body)).translation.z + 1.5e-3;
         let substeps = (seconds * SUBSTEPS_PER_SECOND) as u32;
         (0..substeps).map(|_| (world.advance(), height(world)).1).collect()
     }
