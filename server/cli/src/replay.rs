@@ -194,10 +194,10 @@ fn short(file: &Path) -> String {
 /// Serves the page that plays recordings until Ctrl-C.
 fn serve(address: SocketAddr, reel: Reel) -> anyhow::Result<()> {
     let view = View::start(address, Arc::new(reel)).with_context(|| format!("--view {address}"))?;
-    eprintln!("watch it at http://{}/; Ctrl-C ends it", view.address());
     let stop = StopSignal::default();
     let on_signal = stop.clone();
     ctrlc::set_handler(move || on_signal.set())?;
+    eprintln!("watch it at http://{}/; Ctrl-C ends it", view.address());
     while !stop.is_set() {
         std::thread::sleep(Duration::from_millis(20));
     }
