@@ -482,10 +482,7 @@ impl World {
     pub fn is_finite(&self) -> bool {
         self.moving().all(|body| {
             let body = &self.bodies[*body];
-            body.is_enabled() // the engine disables bodies whose state is not finite
-                && body.position().is_finite()
-                && body.linvel().is_finite()
-                && body.angvel().is_finite()
+            body.position().is_finite() && body.linvel().is_finite() && body.angvel().is_finite()
         }) && self.others.iter().all(|other| other.is_finite())
     }
 }

@@ -1,6 +1,5 @@
 //! What bodies do to each other where they touch: forces and overlaps of the last substep.
 
-use arrayvec::ArrayVec;
 use nalgebra::{Point3, Vector3};
 use rapier3d::parry::bounding_volume::BoundingVolume;
 use rapier3d::parry::query;
@@ -136,7 +135,7 @@ impl World {
         let newtons = SUBSTEPS_PER_SECOND / (SCALE * SCALE * SCALE);
         let mut push = Push::NONE;
         let is_own = |body| instrument.iter().any(|own| own.0 == body);
-        let mut met: ArrayVec<RigidBodyHandle, 8> = ArrayVec::new();
+        let mut met: Vec<RigidBodyHandle> = vec![];
         for touch in self.impulses.iter().filter(|touch| touch.impulse > 0.0) {
             let own = touch.bodies.map(is_own);
             if own[0] == own[1] {
@@ -153,7 +152,7 @@ impl World {
             }
             let other = touch.bodies[other];
             if !met.contains(&other) {
-                met.try_push(other).ok();
+                met.push(other);
             }
         }
         for body in met {
@@ -202,7 +201,7 @@ impl World {
         })
     }
 
-    /// Deepest overlap of any part of the body that `part` belongs to; of that with the bodies of
+    /// Deepest overlap of any part of `body`; of that with the bodies of
     /// `instrument`, where these squeeze it, only what is beyond [`SQUEEZED`]. And whether any is.
     fn overlap_of(&self, body: RigidBodyHandle, instrument: &[BodyId]) -> (Overlap, bool) {
         let touching = instrument.iter().filter(|each| self.touch(**each, BodyId(body)));

@@ -17,8 +17,8 @@ use crate::sim::frames::SCALE;
 /// a finger.
 const PLACE: f64 = 1e-6;
 
-/// Distance up to which there are rows, beside that by which two surfaces come nearer in a substep, m: twice as far as
-/// what begins to fall comes in one.
+/// Distance up to which there are rows, beside that by which two surfaces come nearer in a substep, m: far above the
+/// 0.09 mm (½·g·t²) that begin to fall in one, and above what slides or rolls in a grip.
 pub(super) const NEAR: f64 = 0.3e-3;
 
 /// How much a push must move two bodies that joints bear for there to be a row between them, 1/kg: a finger's is as
