@@ -159,7 +159,14 @@ impl Transfer {
 
     /// How the block is picked up.
     fn pick(&self, arm: &ArmView<'_>, block: &Pose) -> (Stage, (Pose, f64)) {
-        let (grasp, wall) = self.grasp(block, &arm.aim, |pose| arm.shortfall(pose));
+        let closes = arm.closes() && !arm.is_closed();
+        let (grasp, wall) = if closes {
+            // What it closes about, though the block moves and another wall would be the better one now.
+            let wall = held_wall(self.block, block, &arm.aim);
+            (grasp(self.block, block, wall, &arm.aim).0, wall)
+        } else {
+            self.grasp(block, &arm.aim, |pose| arm.shortfall(pose))
+        };
         let off = arm.aim.translation.vector - grasp.translation.vector;
         let out = outwards(self.block, block, wall);
         let across = off.dot(&out);
@@ -171,7 +178,7 @@ impl Transfer {
         let is_low = off.z < LOW || off.z < LOW_ENOUGH && arm.is_held_up();
         let is_about = is_turned && is_within(ABOUT) && is_low;
         let is_ready = arm.is_open() && !arm.closes();
-        let is_closing = arm.closes() && !arm.is_closed() && off.norm() < CLOSING;
+        let is_closing = closes && off.norm() < CLOSING;
         if is_closing || is_about && is_ready {
             return (Stage::Pick, (grasp, JAW_CLOSED));
         }
