@@ -6,6 +6,7 @@ use std::time::{Duration, Instant};
 
 use trocar_client::{Autoreset, Client, Options, SessionRequest};
 use trocar_proto::goal::Reward;
+use trocar_proto::relative::Relative;
 use trocar_proto::spec::{Element, OptionSpec};
 use trocar_proto::{Rejection, TaskSpec};
 use trocar_server::env::recording::{self, Replay};
@@ -50,6 +51,7 @@ impl Task for Clumsy {
             goal: None,
             reward: Reward::State,
             options: vec![],
+            relative: Relative::default(),
             images: None,
         }
     }

@@ -8,6 +8,7 @@ use pyo3::prelude::*;
 use pyo3::types::{PyBool, PyBytes, PyDict, PyString};
 use trocar_client::proto::control::{MAX_MESSAGE, decode, encode};
 use trocar_client::proto::goal::{Reward, SuccessRule};
+use trocar_client::proto::relative::{Bound as Limit, Origin, Rule};
 use trocar_client::proto::spec;
 use trocar_client::{Code, OptionValue, Rejection};
 
@@ -85,6 +86,16 @@ impl TaskSpec {
     }
 
     #[getter]
+    fn relative(&self) -> Vec<Element> {
+        elements(&self.spec.relative.elements())
+    }
+
+    #[getter]
+    fn relative_program<'py>(&self, py: Python<'py>) -> PyResult<Vec<Bound<'py, PyDict>>> {
+        self.spec.relative.features.iter().map(|feature| rule(py, &feature.rule)).collect()
+    }
+
+    #[getter]
     fn has_goals(&self) -> bool {
         self.spec.goal.is_some()
     }
@@ -151,9 +162,84 @@ impl TaskSpec {
         self.of_goals(achieved, desired, SuccessRule::holds)
     }
 
+    /// The features of states (..., state dim) and goals (..., goal dim): float32 (..., features).
+    fn features<'py>(
+        &self,
+        observation: &Bound<'py, PyAny>,
+        achieved: &Bound<'py, PyAny>,
+        desired: &Bound<'py, PyAny>,
+    ) -> PyResult<Bound<'py, PyArrayDyn<f32>>> {
+        let py = observation.py();
+        let relative = &self.spec.relative;
+        if relative.features.is_empty() {
+            let allowed = "this task has no relative features";
+            let refusal = Rejection::new(Code::Unsupported, "task", &self.spec.id, allowed);
+            return Err(error::rejection(py, &refusal));
+        }
+        let [state, goal] = relative.dims;
+        let code = Code::InvalidOption;
+        with_numbers(observation, "observation", code, |shape, states| {
+            let Some((_, leading)) = shape.split_last().filter(|(last, _)| **last == state) else {
+                let expected = format!("(..., {state}), the state alone");
+                return Err(wrong_shape(observation, &expected, "observation", code));
+            };
+            let goals = [leading, &[goal]].concat();
+            with_numbers(achieved, "achieved", code, |other, from| {
+                check_shape(achieved, other, &goals, "achieved", code)?;
+                with_numbers(desired, "desired", code, |other, to| {
+                    check_shape(desired, other, &goals, "desired", code)?;
+                    let features = self.spec.features(states, from, to);
+                    let shape = [leading, &[relative.dim()]].concat();
+                    let features = ArrayD::from_shape_vec(shape, features)
+                        .map_err(|error| error::new(py, "Internal", error.to_string()))?;
+                    Ok(PyArrayDyn::from_owned_array(py, features))
+                })
+            })
+        })
+    }
+
     fn __repr__(&self) -> String {
         format!("<trocar task {}>", self.spec.id)
     }
+}
+
+/// How a feature is computed, as words and numbers.
+fn rule<'py>(py: Python<'py>, rule: &Rule) -> PyResult<Bound<'py, PyDict>> {
+    let told = PyDict::new(py);
+    match *rule {
+        Rule::Offset { to, origin, count, scale, bound } => {
+            let (from, fixed, point) = match origin {
+                Origin::At(from) => (Some(from), None, None),
+                Origin::Fixed(place) => (None, Some(place[..count].to_vec()), None),
+                Origin::Point { at, angles, offset } => (Some(at), None, Some((angles, offset))),
+            };
+            let bound = match bound {
+                Limit::Clip => "clip",
+                Limit::Tanh => "tanh",
+            };
+            told.set_item("kind", "offset")?;
+            told.set_item("to", to)?;
+            told.set_item("from", from)?;
+            told.set_item("fixed", fixed)?;
+            told.set_item("angles", point.map(|(angles, _)| angles))?;
+            told.set_item("offset", point.map(|(_, offset)| offset))?;
+            told.set_item("count", count)?;
+            told.set_item("scale", scale)?;
+            told.set_item("bound", bound)?;
+        }
+        Rule::Rotation { of, seen_from } => {
+            told.set_item("kind", "rotation")?;
+            told.set_item("of", of)?;
+            told.set_item("seen_from", seen_from)?;
+        }
+        Rule::Axis { of, axis, seen_from } => {
+            told.set_item("kind", "axis")?;
+            told.set_item("of", of)?;
+            told.set_item("axis", axis)?;
+            told.set_item("seen_from", seen_from)?;
+        }
+    }
+    Ok(told)
 }
 
 impl TaskSpec {

@@ -177,6 +177,17 @@ class Uses:
     def desired(self, value: Any) -> Any:
         return self.goals(np.full((6, 3), 0.25, np.float32), value)
 
+    def states(self, value: Any) -> Any:
+        goals = np.full((6, 3), 0.25, np.float32)
+        return trocar.features(value, goals, goals, task=self.envs)
+
+    def features_of_goals(self, value: Any) -> Any:
+        states = np.full((6, 7), 0.25, np.float32)
+        return [
+            trocar.features(states, *goals, task=self.envs)
+            for goals in ((value, states[:, :3]), (states[:, :3], value))
+        ]
+
     def goal(self, value: Any) -> Any:
         return self.pick.reset(seed=0, options={"goal": value})
 
@@ -196,6 +207,8 @@ OF_NUMBERS = {
     "send": (3, 5),
     "achieved": (6, 3),
     "desired": (6, 3),
+    "states": (6, 7),
+    "features_of_goals": (6, 3),
     "goal": (3,),
     "goals_of_all": (2, 3),
     "tip": (3,),

@@ -159,7 +159,7 @@ impl Client {
     pub fn describe(&self, task: &str, options: &Options) -> Result<TaskSpec, CallError> {
         let request = ControlRequest::DescribeTask { task: task.into(), options: options.clone() };
         match self.call(&request)? {
-            ControlReply::Task(spec) => Ok(spec),
+            ControlReply::Task(spec) => Ok(*spec),
             other => Err(unexpected(&other)),
         }
     }
@@ -171,7 +171,7 @@ impl Client {
             ControlRequest::OpenSession { request: request.clone(), client: self.info.clone() };
         match self.call(&open)? {
             // Where the server has died meanwhile, its successor may have removed the services.
-            ControlReply::Opened(info) => Session::new(self.clone(), request.clone(), info)
+            ControlReply::Opened(info) => Session::new(self.clone(), request.clone(), *info)
                 .map_err(|error| self.link.check_server().err().unwrap_or(error)),
             other => Err(unexpected(&other)),
         }

@@ -153,9 +153,9 @@ pub enum ControlReply {
     /// To [`ControlRequest::ListTasks`].
     Tasks(Vec<String>),
     /// To [`ControlRequest::DescribeTask`].
-    Task(TaskSpec),
+    Task(Box<TaskSpec>),
     /// To [`ControlRequest::OpenSession`].
-    Opened(SessionInfo),
+    Opened(Box<SessionInfo>),
     /// To [`ControlRequest::CloseSession`], [`ControlRequest::DropSnapshots`], [`ControlRequest::Record`]
     /// and [`ControlRequest::Shutdown`].
     Done,

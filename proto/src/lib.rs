@@ -13,6 +13,7 @@
 //! | [`wire`] | frequent messages: step and reset as plain arrays in shared memory |
 //! | [`spec`] | what a task looks like: actions, observations, goals, options |
 //! | [`goal`] | distance, success and reward as pure functions of goals |
+//! | [`relative`] | features as pure functions of state and goals |
 //! | [`stage`] | what a scripted expert is about |
 //! | [`placement`] | how an episode shall begin |
 //! | [`seed`] | which numbers are seeds |
@@ -45,6 +46,7 @@ mod mapping;
 pub mod missing_page;
 pub mod open_files;
 pub mod placement;
+pub mod relative;
 pub mod seed;
 pub mod sleep;
 pub mod snapshot;
@@ -59,4 +61,4 @@ pub use spec::{OptionValue, Options, TaskSpec};
 pub use stage::Stage;
 
 /// Version of everything in this crate; both sides must have the same.
-pub const PROTOCOL_VERSION: u32 = 8;
+pub const PROTOCOL_VERSION: u32 = 9;

@@ -7,6 +7,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::error::{Code, Rejection};
 use crate::goal::{Reward, SuccessRule};
+use crate::relative::Relative;
 
 /// A task as its clients see it, under one choice of options. Sent once, when a session opens.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -27,6 +28,8 @@ pub struct TaskSpec {
     pub goal: Option<GoalSpec>,
     /// Which reward these options give.
     pub reward: Reward,
+    /// What state and goals say of each other. Tasks give the features; the registry adds the dimensions.
+    pub relative: Relative,
     /// The options this task knows.
     pub options: Vec<OptionSpec>,
     /// Pictures that an observation has; none unless they are asked for. Tasks leave this to the registry.

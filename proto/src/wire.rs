@@ -309,6 +309,7 @@ impl PictureLayout {
 mod tests {
     use super::*;
     use crate::goal::{Reward, SuccessRule};
+    use crate::relative::Relative;
     use crate::spec::{Element, GoalSpec};
 
     fn spec(action: usize, observation: usize, goal: usize) -> TaskSpec {
@@ -326,6 +327,7 @@ mod tests {
             }),
             reward: Reward::Sparse,
             options: vec![],
+            relative: Relative::default(),
             images: None,
         }
     }

@@ -35,7 +35,7 @@ use crate::tasks::options::{self, Domain, SCALED_LENGTH, SCALED_LENGTHS_PER_METR
 use crate::tasks::proprioception::Proprioception;
 use crate::tasks::start::Starts;
 use crate::tasks::time::Time;
-use crate::tasks::{AnyTask, rate};
+use crate::tasks::{AnyTask, rate, relative};
 
 mod arrange;
 mod bounds;
@@ -108,9 +108,7 @@ pub struct Env {
     command: Vec<f32>,
     /// Which numbers an observation has besides, or in place of, the task's.
     own: Proprioception,
-    /// Whether an observation has the task's state, and of how many numbers that is.
-    has_state: bool,
-    state_dim: usize,
+    sight: Sight,
     /// What the arms measured of themselves when they were last sensed.
     measured: Vec<f32>,
     terminates_on_success: bool,
@@ -129,6 +127,17 @@ struct Seen {
     desired: Vec<f32>,
     /// Whether this is the present state.
     is_present: bool,
+}
+
+/// What an observation has of the task's state.
+#[derive(Debug, Clone)]
+struct Sight {
+    /// The state.
+    elements: Arc<[Element]>,
+    /// Whether the state itself is observed.
+    has_state: bool,
+    /// Whether relative features of it are.
+    has_features: bool,
 }
 
 /// From what episodes begin.
@@ -205,9 +214,12 @@ impl Env {
             },
             expert_sees: Sees::of(&options),
             own: Proprioception::of(&options),
-            has_state: options::observes_state(&options)
-                || !Proprioception::of(&options).is_wanted(),
-            state_dim: task.spec().observation_dim(),
+            sight: Sight {
+                elements: task.spec().observation.into(),
+                has_state: options::observes_state(&options)
+                    || !options::observes_numbers(&options),
+                has_features: relative::is_wanted(&options),
+            },
             measured: vec![],
             terminates_on_success: options::terminates_on_success(&options),
             options: Arc::new(options),
@@ -525,19 +537,19 @@ impl Env {
     /// not finite is written as 0, so that nobody's statistics are lost to one environment; whether
     /// all of it was finite.
     fn look(&self, observation: &mut [f32], achieved: &mut [f32], desired: &mut [f32]) -> bool {
-        let (state, measured) = observation.split_at_mut(observation.len() - self.measured.len());
-        let (elements, own) = self.spec.observation.split_at(state.len());
-        if self.has_state {
-            self.task.observe(&self.world, state, achieved, desired);
-        } else {
-            let mut state = vec![0.0; self.state_dim];
-            self.task.observe(&self.world, &mut state, achieved, desired);
-        }
+        let Sight { elements, has_state, has_features } = &self.sight;
+        let shown = if *has_state { elements.len() } else { 0 };
+        let (state, rest) = observation.split_at_mut(shown);
+        let (measured, features) = rest.split_at_mut(self.measured.len());
+        let mut hidden = vec![0.0; elements.len() - shown];
+        let state = if *has_state { state } else { &mut hidden };
+        self.task.observe(&self.world, state, achieved, desired);
         measured.copy_from_slice(&self.measured);
+        let own = &self.spec.observation[shown..];
         let mut finite = self.bound_all("observation", measured, own);
-        if self.noise.sigma > 0.0 {
+        if self.is_noisy() {
             let mut rng = self.noise.rng.clone();
-            for (value, element) in state.iter_mut().zip(elements) {
+            for (value, element) in state.iter_mut().zip(elements.iter()) {
                 self.check_bounds("observation", *value, element);
                 let sigma = self.noise.sigma(&element.unit);
                 if sigma > 0.0 {
@@ -552,12 +564,15 @@ impl Env {
             finite &= self.bound_all("achieved", achieved, &goal.elements);
             finite &= self.bound_all("desired", desired, &goal.elements);
         }
+        if *has_features {
+            self.spec.relative.write(state, achieved, desired, features);
+        }
         finite
     }
 
-    /// The elements that sensor noise is about: those of the state. What arms measure has their encoders' errors.
-    fn noisy(&self) -> &[Element] {
-        &self.spec.observation[..self.spec.observation.len() - self.measured.len()]
+    /// Whether sensor noise can be seen: it is that of the state. What arms measure has their encoders' errors.
+    fn is_noisy(&self) -> bool {
+        self.noise.sigma > 0.0 && (self.sight.has_state || self.sight.has_features)
     }
 
     /// Lets the arms measure themselves, where observations show that.
@@ -569,9 +584,8 @@ impl Env {
 
     /// Leaves the noise of the present state behind.
     fn pass_noise(&mut self) {
-        if self.noise.sigma > 0.0 {
-            let count = self.noisy().len();
-            for element in &self.spec.observation[..count] {
+        if self.is_noisy() {
+            for element in self.sight.elements.iter() {
                 if self.noise.sigma(&element.unit) > 0.0 {
                     self.noise.rng.normal();
                 }

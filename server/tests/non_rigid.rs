@@ -4,6 +4,7 @@
 
 use nalgebra::{Point3, Vector3};
 use trocar_proto::goal::Reward;
+use trocar_proto::relative::Relative;
 use trocar_proto::spec::{Element, OptionSpec};
 use trocar_proto::{Options, Rejection, TaskSpec};
 use trocar_server::error::StepError;
@@ -134,6 +135,7 @@ impl Task for Falls {
             goal: None,
             reward: Reward::State,
             options: Self::options(),
+            relative: Relative::default(),
             images: None,
         }
     }

@@ -33,6 +33,7 @@ their library does not hand over. A row-major, aligned array of float32 is not c
 
 from trocar import errors
 from trocar._connection import status
+from trocar._features import features
 from trocar._trocar import STAGES, Element, OptionSpec, TaskSpec, __version__
 from trocar.env import TrocarEnv
 from trocar.errors import Reconnected, ServerLost, TrocarError
@@ -56,6 +57,7 @@ __all__ = [
     "__version__",
     "binary",
     "errors",
+    "features",
     "register",
     "register_all",
     "status",

@@ -281,6 +281,26 @@ class TaskSpec:
         """Rewards of goals of shape (..., goal dim), as the server gives them: float32 (...)."""
     def compute_success(self, achieved: ArrayLike, desired: ArrayLike) -> NDArray[np.bool_]:
         """Whether goals of shape (..., goal dim) are reached: bool (...)."""
+    @property
+    def relative(self) -> list[Element]:
+        """The relative features, element by element; none for tasks without goals."""
+    @property
+    def relative_program(self) -> list[dict[str, Any]]:
+        """How they are computed from x: state, achieved and desired goal, one after the other.
+
+        Some numbers each, in the order of :attr:`relative`. What all have is ``kind``:
+
+        - ``offset``: ``count`` numbers (x[to + k] - origin[k]) / scale, clipped to ±3 where ``bound``
+          is ``clip``, else their tanh. The origin is ``fixed`` where ``from`` is ``None``, else
+          x[from + k], with R(x[angles]) ``offset`` added where ``angles`` is not ``None``.
+        - ``rotation``: the first two columns of R(x[seen_from])ᵀ R(x[of]), or of R(x[of]) where
+          ``seen_from`` is ``None``; R = Rz(yaw) Ry(pitch) Rx(roll) of three numbers.
+        - ``axis``: 2 dx dy, 2 dy dz, 2 dx dz, dx² - dy², dy² - dz² of d, column ``axis`` of that.
+        """
+    def features(
+        self, observation: ArrayLike, achieved: ArrayLike, desired: ArrayLike
+    ) -> NDArray[np.float32]:
+        """As :func:`trocar.features`."""
 
 @final
 class ImageSpec:

@@ -9,6 +9,7 @@
 use anyhow::Context;
 use nalgebra::Vector3;
 use trocar_proto::goal::{Reward, SuccessRule};
+use trocar_proto::relative::Relative;
 use trocar_proto::spec::{GoalSpec, OptionSpec};
 use trocar_proto::{Options, Rejection, TaskSpec};
 use trocar_server::assets::Scene;
@@ -89,6 +90,7 @@ impl Task for PushCube {
             }),
             reward: self.reward,
             options: Self::options(),
+            relative: Relative::default(),
             images: None,
         }
     }

@@ -10,7 +10,6 @@ use super::Env;
 use crate::render::camera::extrinsics;
 use crate::render::{Camera, Canvas, Lens, Renderer, Scene, Software, View, Viewpoint};
 use crate::tasks::options;
-use crate::tasks::proprioception::Proprioception;
 
 /// Least distance of a placed camera from what it looks at, m.
 const LEAST_DISTANCE: f64 = 1e-3;
@@ -133,7 +132,7 @@ impl Imaging {
             camera_from_world: fixed.map(|each| extrinsics(&each.world_from_camera)).collect(),
             far: camera.far as f32,
             bodies: scene.bodies().iter().map(ToString::to_string).collect(),
-            with_state: options::observes_state(options) || Proprioception::of(options).is_wanted(),
+            with_state: options::observes_numbers(options),
         };
         Ok(Some(Self { spec, eyes, renderer: Arc::new(Software::default()) }))
     }

@@ -1,6 +1,7 @@
 //! Episodes, delays, noise, domains and failures of an environment.
 
 use trocar_proto::Options;
+use trocar_proto::relative::Relative;
 use trocar_proto::spec::{Element, OptionSpec};
 
 use super::*;
@@ -34,6 +35,7 @@ impl Task for Fragile {
             goal: None,
             reward: Reward::State,
             options: vec![],
+            relative: Relative::default(),
             images: None,
         }
     }

@@ -276,7 +276,8 @@ impl Desk {
                 Answer::Reply(ControlReply::Tasks(ids))
             }
             ControlRequest::DescribeTask { task, options } => {
-                Answer::Reply(ControlReply::Task(self.registry.spec(&task, &options)?))
+                let spec = self.registry.spec(&task, &options)?;
+                Answer::Reply(ControlReply::Task(spec.into()))
             }
             ControlRequest::OpenSession { request, client } => {
                 let footprint = self.check_session(&request, client.pid, usage)?;

@@ -105,7 +105,7 @@ pub(super) fn open(
         let user = account.scheduler.user();
         match Session::open(Arc::clone(&ground), account, inner, &wanted, seat, life) {
             Ok((mut session, info)) => {
-                ports::reply(&request, &ControlReply::Opened(info));
+                ports::reply(&request, &ControlReply::Opened(info.into()));
                 drop(request);
                 let outlook = session.outlook(Duration::ZERO);
                 hall.admit(session.seat.number, user, outlook, Box::new(session));

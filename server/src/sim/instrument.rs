@@ -210,6 +210,14 @@ impl Instrument {
         self.finger_bodies().iter().filter(|finger| world.touch(**finger, object)).count()
     }
 
+    /// Which of its fingers press on an object; both where one is tied to the wrist.
+    pub fn contacts(&self, world: &World) -> [bool; 2] {
+        if self.stale || self.tied.is_some() {
+            return [self.tied.is_some(); 2];
+        }
+        self.finger_bodies().map(|finger| world.objects().any(|object| world.touch(finger, object)))
+    }
+
     /// How hard everything together pressed on each finger in the last substep, N.
     pub fn pressures(&self, world: &World) -> [f64; 2] {
         if self.stale {

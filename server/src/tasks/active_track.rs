@@ -91,6 +91,7 @@
 //! - v0: first version.
 
 use trocar_proto::goal::Reward;
+use trocar_proto::relative::Relative;
 use trocar_proto::spec::OptionSpec;
 use trocar_proto::{Options, Rejection, TaskSpec};
 
@@ -181,6 +182,7 @@ impl Task for ActiveTrack {
             goal: None,
             reward: Reward::State,
             options: Self::options(),
+            relative: Relative::default(),
             images: None,
         }
     }

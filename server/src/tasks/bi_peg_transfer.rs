@@ -121,6 +121,7 @@ use super::options::{self, Preset};
 use super::peg_board::{Block, Layout, PegBoard};
 use super::peg_expert::{self, Transfer};
 use super::psm_scene::{self, MAX_STEPS, PaperAction, PsmArm, Station, Turn};
+use super::relative::Grasping;
 use super::start::{self, Start};
 use super::theatre;
 use super::tray;
@@ -217,6 +218,13 @@ impl Task for BiPegTransfer {
     fn spec(&self) -> TaskSpec {
         let [one, two] = &self.arms;
         let walls = ["wall 1", "wall 2"];
+        let grasping = Grasping {
+            arms: [one, two],
+            object: "block",
+            places: walls,
+            own: [0, 1],
+            preset: self.preset,
+        };
         TaskSpec {
             id: Self::ID.into(),
             summary: "Take a block to the other arm, which puts it onto a peg.".into(),
@@ -227,6 +235,7 @@ impl Task for BiPegTransfer {
             goal: Some(PegBoard::goal_spec(self.preset)),
             reward: self.reward,
             options: Self::options(),
+            relative: grasping.features(),
             images: None,
         }
     }

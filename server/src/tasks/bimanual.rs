@@ -17,8 +17,7 @@ use crate::sim::world::{BodyId, World};
 /// that both hold.
 const DRAGGED: f64 = 0.02;
 
-/// The elements of [`observe`]: of both arms, of the object `object`, and of the places `places` at which
-/// PSM1 and PSM2 grasp it.
+/// The elements of [`observe`]: of both arms, of the object `object`, and of the two `places` at which it is grasped.
 pub fn observation_elements(
     arms: [&PsmArm; 2],
     object: &str,
@@ -56,8 +55,8 @@ fn named(elements: [Vec<Element>; 2]) -> Vec<Element> {
 }
 
 /// Writes what is observed: both arms (7 each), the object's origin (3), that less PSM1's and PSM2's
-/// wrist (3 each), and the places at which PSM1 and PSM2 grasp it, each by position (3) and extrinsic
-/// XYZ Euler angles (3).
+/// wrist (3 each), and the two places at which it is grasped, each by position (3) and extrinsic XYZ
+/// Euler angles (3).
 pub fn observe(
     arms: [&PsmArm; 2],
     world: &World,

@@ -83,6 +83,7 @@ use super::ecm_scene::{Control, EcmArm, RATE, STEP_LENGTH};
 use super::expert::{ExpertInput, Sees};
 use super::goal;
 use super::options::{self, Preset};
+use super::relative;
 use crate::render::Scene;
 use crate::sim::frames::Aabb;
 use crate::sim::random::Rng;
@@ -149,19 +150,22 @@ impl Task for EcmReach {
     fn spec(&self) -> TaskSpec {
         // All that the arm reaches, 0.26 m around the remote centre, wherever its base stands.
         let positions = Aabb::new([-4.0, -4.0, -4.0], [4.0, 4.0, 4.0]);
+        let observation = self.arm.observation_elements();
+        let relative = relative::looking(&observation, &[], 3, &[0.05, 0.01, 0.003]);
         TaskSpec {
             id: Self::ID.into(),
             summary: "Move the endoscope to a position.".into(),
             max_steps: self.arm.rate().steps(MAX_STEPS),
             seconds_per_step: self.arm.rate().seconds(),
             action: self.arm.action_elements(),
-            observation: self.arm.observation_elements(),
+            observation,
             goal: Some(GoalSpec {
                 elements: options::position_elements("camera", "world", &positions, Preset::Paper),
                 success: SuccessRule::Distance { tolerance: TOLERANCE },
             }),
             reward: self.reward,
             options: Self::options(),
+            relative,
             images: None,
         }
     }

@@ -113,6 +113,7 @@ use super::options::{self, Preset};
 use super::pad::Pad;
 use super::pick::Pick;
 use super::psm_scene::{self, MAX_STEPS, PaperAction, PsmArm, Station, Turn, WORKSPACE};
+use super::relative::Grasping;
 use super::start::{self, Start};
 use super::theatre;
 use super::{Arms, Task};
@@ -192,6 +193,13 @@ impl Task for GauzeRetrieve {
     fn spec(&self) -> TaskSpec {
         let mut observation = self.arm.observation_elements();
         observation.extend(objects::observation_elements("gauze", "crest", self.preset));
+        let grasping = Grasping {
+            arms: [&self.arm],
+            object: "gauze",
+            places: ["crest"],
+            own: [0],
+            preset: self.preset,
+        };
         TaskSpec {
             id: Self::ID.into(),
             summary: "Pick up a gauze and bring its middle to a point.".into(),
@@ -202,6 +210,7 @@ impl Task for GauzeRetrieve {
             goal: Some(objects::goal_spec("gauze", self.preset)),
             reward: self.reward,
             options: Self::options(),
+            relative: grasping.features(),
             images: None,
         }
     }

@@ -93,6 +93,7 @@ use super::Task;
 use super::ecm_scene::{CAMERA_ANGLE, Control, EcmArm, RATE, STEP_ROLL, misorientation_element};
 use super::expert::{ExpertInput, Sees};
 use super::options;
+use super::relative;
 use crate::render::Scene;
 use crate::sim::random::Rng;
 use crate::sim::world::{Solver, World};
@@ -151,6 +152,7 @@ impl Task for MisOrient {
     fn spec(&self) -> TaskSpec {
         let mut observation = self.arm.observation_elements();
         observation.extend(options::euler_elements("camera", "world"));
+        let relative = relative::looking(&observation, &[6], 1, &[0.5, 0.05, 0.01]);
         TaskSpec {
             id: Self::ID.into(),
             summary: "Roll the endoscope until its picture is level.".into(),
@@ -164,6 +166,7 @@ impl Task for MisOrient {
             }),
             reward: self.reward,
             options: Self::options(),
+            relative,
             images: None,
         }
     }

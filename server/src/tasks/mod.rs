@@ -60,6 +60,7 @@ pub mod pick;
 pub(crate) mod proprioception;
 pub mod psm_scene;
 pub mod rate;
+pub(crate) mod relative;
 pub mod start;
 pub mod static_track;
 pub mod theatre;
@@ -291,6 +292,11 @@ impl Registry {
         let allowed = options::under_preset(known, options);
         let options = options.resolve(&allowed)?;
         let (task, world) = (entry.make)(&options)?;
+        if relative::is_wanted(&options) && task.spec().relative.features.is_empty() {
+            let allowed = "this task has no relative features";
+            let word = format!("{:?}", relative::WORD);
+            return Err(Rejection::new(Code::InvalidOption, "options.observation", word, allowed));
+        }
         Ok((task, world, options))
     }
 }
@@ -304,12 +310,13 @@ fn spec_of(
     imaging: Option<&Imaging>,
 ) -> TaskSpec {
     let mut spec = task.spec();
-    let own = Proprioception::of(resolved);
-    if own.is_wanted() {
-        if !options::observes_state(resolved) {
-            spec.observation.clear();
-        }
-        spec.observation.extend(own.elements(task));
+    spec.relative = relative::of(&spec);
+    if options::observes_numbers(resolved) && !options::observes_state(resolved) {
+        spec.observation.clear();
+    }
+    spec.observation.extend(Proprioception::of(resolved).elements(task));
+    if relative::is_wanted(resolved) {
+        spec.observation.extend(spec.relative.elements());
     }
     let known = options::with_common(spec.options);
     TaskSpec {

@@ -110,6 +110,7 @@ use super::options::{self, Preset};
 use super::pad::Pad;
 use super::pick::{self, Pick};
 use super::psm_scene::{self, MAX_STEPS, PaperAction, PsmArm, Station, Turn, WORKSPACE};
+use super::relative::Grasping;
 use super::start::{self, Start};
 use super::theatre;
 use super::tray::{self, Needle};
@@ -190,6 +191,13 @@ impl Task for NeedlePick {
     fn spec(&self) -> TaskSpec {
         let mut observation = self.arm.observation_elements();
         observation.extend(objects::observation_elements("needle", "mid arc", self.preset));
+        let grasping = Grasping {
+            arms: [&self.arm],
+            object: "needle",
+            places: ["mid arc"],
+            own: [0],
+            preset: self.preset,
+        };
         TaskSpec {
             id: Self::ID.into(),
             summary: "Pick up a needle and bring the middle of its arc to a point.".into(),
@@ -200,6 +208,7 @@ impl Task for NeedlePick {
             goal: Some(objects::goal_spec("mid arc", self.preset)),
             reward: self.reward,
             options: Self::options(),
+            relative: grasping.features(),
             images: None,
         }
     }

@@ -92,6 +92,7 @@ use super::options::{self, Preset};
 use super::psm_scene::{
     MAX_STEPS, PaperAction, PsmArm, RATE, REACH, STEP_LENGTH, Station, Turn, WORKSPACE,
 };
+use super::relative;
 use super::theatre;
 use super::tray::{self, Needle};
 use super::{Arms, Task};
@@ -180,6 +181,7 @@ impl Task for NeedleReach {
             }),
             reward: self.reward,
             options: Self::options(),
+            relative: relative::reaching(&self.arm, self.preset),
             images: None,
         }
     }

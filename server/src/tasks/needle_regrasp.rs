@@ -122,6 +122,7 @@ use super::options::{self, Preset};
 use super::psm_scene::{
     self, MAX_STEPS, PITCH_LIMIT, PaperAction, PsmArm, Station, Turn, pitch_across, pitched,
 };
+use super::relative::Grasping;
 use super::theatre;
 use super::tray::{self, Needle};
 use super::{Arms, Task, time};
@@ -235,6 +236,13 @@ impl Task for NeedleRegrasp {
     fn spec(&self) -> TaskSpec {
         let [one, two] = &self.arms;
         let places = ["needle near its point", "needle near its swage"];
+        let grasping = Grasping {
+            arms: [one, two],
+            object: "needle",
+            places,
+            own: [1, 0], // PSM2 takes the needle near its point
+            preset: self.preset,
+        };
         TaskSpec {
             id: Self::ID.into(),
             summary: "Hand a needle from one arm to the other, which brings it to a point.".into(),
@@ -245,6 +253,7 @@ impl Task for NeedleRegrasp {
             goal: Some(objects::goal_spec(places[0], self.preset)),
             reward: self.reward,
             options: Self::options(),
+            relative: grasping.features(),
             images: None,
         }
     }

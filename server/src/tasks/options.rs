@@ -7,6 +7,7 @@ use trocar_proto::spec::{Allowed, Element, ImageKind, OptionSpec, OptionValue, R
 use trocar_proto::{Code, Options, Rejection};
 
 use super::proprioception::Proprioception;
+use super::relative;
 use crate::robots::ArmModel;
 use crate::sim::frames::{self, Aabb, Pose};
 use crate::sim::grasp::GraspMode;
@@ -152,11 +153,20 @@ pub(crate) fn terminates_on_success(options: &Options) -> bool {
     options.text("terminate") == Some("success")
 }
 
+/// Whether resolved options ask for the vector `observation`, in place of pictures alone.
+pub(crate) fn observes_numbers(options: &Options) -> bool {
+    observes_state(options)
+        || Proprioception::of(options).is_wanted()
+        || relative::is_wanted(options)
+}
+
 /// What a task knows, with the options that all tasks of its kind have: `terminate` where there is a goal, and
 /// what observations may have besides the state where there is `observation`: `image_size`, `camera` and where a
 /// placed camera is.
 pub(super) fn with_common(mut known: Vec<OptionSpec>) -> Vec<OptionSpec> {
-    if known.iter().any(|option| option.name == "reward") {
+    let has = |name: &str| known.iter().any(|option| option.name == name);
+    let (has_goal, grasps) = (has("reward"), has("grasp"));
+    if has_goal {
         known.push(terminate());
     }
     let Some(observation) = known.iter_mut().find(|option| option.name == "observation") else {
@@ -166,12 +176,21 @@ pub(super) fn with_common(mut known: Vec<OptionSpec>) -> Vec<OptionSpec> {
                            proprioception (joints, tip, jaw) are what the arms measure of themselves, after \
                            it or without it; rgb, depth (m), mask (bodies) and points (m) are pictures."
         .into();
+    if has_goal {
+        observation.summary +=
+            " relative: where things are from each other, made of state and goals.";
+    }
+    if grasps {
+        observation.summary += " contact: what presses on each finger.";
+    }
     if let Allowed::SomeOf(words) = &mut observation.allowed {
         if words.iter().any(|word| word == PERCEIVED) {
             observation.summary +=
                 " perceived: a state whose target is found in the endoscope's picture.";
         }
         words.extend(Proprioception::WORDS.map(String::from));
+        let more = [(Proprioception::CONTACT, grasps), (relative::WORD, has_goal)];
+        words.extend(more.iter().filter(|(_, has)| *has).map(|(word, _)| word.to_string()));
         words.extend(ImageKind::ALL.map(|kind| kind.name().to_string()));
     }
     known.push(OptionSpec {

@@ -109,6 +109,7 @@ use super::options::{self, Preset};
 use super::peg_board::{Block, Layout, PegBoard};
 use super::peg_expert::Transfer;
 use super::psm_scene::{self, MAX_STEPS, PaperAction, PsmArm, Station, Turn, WORKSPACE};
+use super::relative::Grasping;
 use super::start::{self, Start};
 use super::theatre;
 use super::tray;
@@ -172,6 +173,13 @@ impl Task for PegTransfer {
     fn spec(&self) -> TaskSpec {
         let mut observation = self.arm.observation_elements();
         observation.extend(objects::observation_elements("block", "wall 1", self.preset));
+        let grasping = Grasping {
+            arms: [&self.arm],
+            object: "block",
+            places: ["wall 1"],
+            own: [0],
+            preset: self.preset,
+        };
         TaskSpec {
             id: Self::ID.into(),
             summary: "Take a block from its peg to another one.".into(),
@@ -182,6 +190,7 @@ impl Task for PegTransfer {
             goal: Some(PegBoard::goal_spec(self.preset)),
             reward: self.reward,
             options: Self::options(),
+            relative: grasping.features(),
             images: None,
         }
     }

@@ -1,10 +1,10 @@
-//! What a robot measures of itself, for policies that are to see nothing else but pictures: the words `joints` and
-//! `proprioception` of the option `observation`.
+//! What a robot measures of itself: the words `joints`, `proprioception` and `contact` of the option `observation`.
 //!
 //! | word | numbers for each arm, as its sensors report them |
 //! |---|---|
 //! | `joints` | PSM: yaw, pitch (rad), insertion (m), roll, wrist pitch, wrist yaw (rad), jaw (opening, rad); ECM: yaw, pitch (rad), insertion (m), roll (rad) |
 //! | `proprioception` | the same; then x, y, z of the jaws' tip (m), or of the camera; and roll, pitch, yaw (rad) of the wrist link, or of the camera, as in the state |
+//! | `contact` | for each of the two fingers 1 where it presses on an object, else 0; then how hard everything presses on it, N, up to 10 |
 
 use trocar_proto::Options;
 use trocar_proto::spec::Element;
@@ -18,21 +18,25 @@ use crate::sim::world::World;
 pub(crate) struct Proprioception {
     joints: bool,
     all: bool,
+    contact: bool,
 }
 
 impl Proprioception {
     /// The words of the option `observation`.
     pub(crate) const WORDS: [&str; 2] = ["joints", "proprioception"];
 
+    /// The one that only tasks have whose arms grasp objects.
+    pub(crate) const CONTACT: &str = "contact";
+
     /// What resolved options ask for.
     pub(crate) fn of(options: &Options) -> Self {
         let [joints, all] = Self::WORDS.map(|word| options::observes(options, word));
-        Self { joints, all }
+        Self { joints, all, contact: options::observes(options, Self::CONTACT) }
     }
 
     /// Whether there is any.
     pub(crate) fn is_wanted(self) -> bool {
-        self.joints || self.all
+        self.joints || self.all || self.contact
     }
 
     /// The elements of [`Self::measure`].
@@ -48,6 +52,9 @@ impl Proprioception {
             if self.all {
                 own.extend(arm.joint_elements());
                 own.extend(arm.tip_elements());
+            }
+            if self.contact {
+                own.extend(arm.contact_elements());
             }
             for mut element in own {
                 if !is_one {
@@ -79,6 +86,9 @@ impl Proprioception {
             if self.all {
                 numbers.extend(arm.measured_joints(world));
                 numbers.extend(arm.measured_tip());
+            }
+            if self.contact {
+                numbers.extend(arm.measured_contact(world));
             }
         }
         if let Some(endoscope) = task.endoscope() {

@@ -100,6 +100,7 @@ use super::camera::Cube;
 use super::ecm_scene::{EcmArm, RATE, misorientation_element};
 use super::expert::{ExpertInput, Sees};
 use super::options;
+use super::relative;
 use super::track::{Layout, Tracker, image_elements};
 use crate::render::Scene;
 use crate::sim::random::Rng;
@@ -168,19 +169,22 @@ impl Task for StaticTrack {
 
     fn spec(&self) -> TaskSpec {
         let [x, y] = image_elements();
+        let observation = self.tracker.observation_elements();
+        let relative = relative::looking(&observation, &[], 3, &[1.0, 0.1, 0.01]);
         TaskSpec {
             id: Self::ID.into(),
             summary: "Centre a cube among others in the endoscope's picture.".into(),
             max_steps: self.tracker.rate().steps(MAX_STEPS),
             seconds_per_step: self.tracker.rate().seconds(),
             action: self.tracker.action_elements(),
-            observation: self.tracker.observation_elements(),
+            observation,
             goal: Some(GoalSpec {
                 elements: vec![x, y, misorientation_element()],
                 success: SuccessRule::Centred { image: IMAGE_TOLERANCE, angle: ANGLE_TOLERANCE },
             }),
             reward: self.reward,
             options: Self::options(),
+            relative,
             images: None,
         }
     }

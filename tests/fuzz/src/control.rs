@@ -182,8 +182,8 @@ fn replies() -> Vec<ControlReply> {
     vec![
         ControlReply::Hello(DESK.info().clone()),
         ControlReply::Tasks(REGISTRY.ids().map(str::to_string).collect()),
-        ControlReply::Task(spec),
-        ControlReply::Opened(info),
+        ControlReply::Task(spec.into()),
+        ControlReply::Opened(info.into()),
         ControlReply::Done,
         ControlReply::Refused(Rejection::new(Code::Malformed, "field", 1, "allowed")),
         ControlReply::Exported(vec![1, 2, 3]),

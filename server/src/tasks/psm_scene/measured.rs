@@ -10,6 +10,9 @@ use crate::sim::instrument::TIP_OFFSET;
 use crate::sim::world::World;
 use crate::tasks::options;
 
+/// Force on a finger from which on contact is told as this, N.
+const MOST_FORCE: f64 = 10.0;
+
 impl PsmArm {
     /// The elements of [`Self::measured_joints`].
     pub fn joint_elements(&self) -> Vec<Element> {
@@ -46,5 +49,25 @@ impl PsmArm {
         let angles = frames::euler_xyz(&(self.scene_from_wrist.rotation * wrist_from_link()));
         let numbers = [position.x, position.y, position.z].into_iter().chain(angles);
         numbers.map(|number| number as f32)
+    }
+
+    /// The elements of [`Self::measured_contact`].
+    pub fn contact_elements(&self) -> Vec<Element> {
+        let of_finger = |finger: usize| {
+            let named = |what: &str| format!("finger {finger} {what}");
+            let contact = Element::new(&named("contact"), "", "1", 0.0, 1.0);
+            [contact, Element::new(&named("force"), "", "N", 0.0, MOST_FORCE as f32)]
+        };
+        [1, 2].into_iter().flat_map(of_finger).collect()
+    }
+
+    /// For each finger, 1 where it presses on an object, else 0, and how hard everything presses on it, N.
+    pub fn measured_contact(&self, world: &World) -> impl Iterator<Item = f32> {
+        let contacts = self.instrument.contacts(world);
+        let forces = self.instrument.pressures(world);
+        let numbers = move |finger: usize| {
+            [f64::from(u8::from(contacts[finger])), forces[finger].min(MOST_FORCE)]
+        };
+        [0, 1].into_iter().flat_map(numbers).map(|number| number as f32)
     }
 }

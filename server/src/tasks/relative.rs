@@ -1,0 +1,224 @@
+//! The word `relative` of the option `observation`: which features each kind of task has.
+//!
+//! | tasks | features |
+//! |---|---|
+//! | all | desired goal from achieved goal, at several scales |
+//! | PSM | each wrist: its place, its turn; the goal from the tip of its jaws |
+//! | PSM with an object | its jaw; from each tip: the place to grasp, at several scales, and the object; in the wrist's axes, the turn of that place and that of its y axis, which half a turn leaves alone; the object and the turns of its places in the scene |
+//! | two PSMs | the other arm's place from each tip, and the wrists from each other |
+//! | ECM | the camera's place and turns; what the task sees |
+//!
+//! Lengths are told as parts of 50 mm, up to 150 mm, and through tanh as parts of 10, 3 and 1 mm: there a policy tells a
+//! tenth of a millimetre from nothing. What all rules compute is in [`trocar_proto::relative`].
+
+use nalgebra::Vector3;
+use trocar_proto::Options;
+use trocar_proto::relative::{Bound, Feature, Origin, Relative, Rule};
+use trocar_proto::spec::{Element, TaskSpec};
+
+use super::options::{self, Preset};
+use super::psm_scene::PsmArm;
+use crate::sim::instrument::TIP_OFFSET;
+
+/// The word.
+pub(crate) const WORD: &str = "relative";
+
+/// Whether resolved options ask for these features.
+pub(crate) fn is_wanted(options: &Options) -> bool {
+    options::observes(options, WORD)
+}
+
+/// The features that `spec` names, with the dimensions of the task's own state and goals.
+pub(crate) fn of(spec: &TaskSpec) -> Relative {
+    let dims = [spec.observation_dim(), spec.goal_dim()];
+    Relative { dims, ..spec.relative.clone() }
+}
+
+/// The whole range of lengths that matter, m, and those that matter nearby.
+const FAR: f64 = 0.05;
+const NEAR: [f64; 3] = [0.01, 0.003, 0.001];
+
+/// Numbers of what `PsmArm::observe` writes: where the angles and the jaw begin.
+const ANGLES: usize = 3;
+const JAW: usize = 6;
+
+/// Jaw angle that is neither open nor closed, and half of its range; and how finely an almost closed one is told, rad.
+const JAW_MIDDLE: f32 = 0.35;
+const THIN: [f32; 2] = [0.05, 0.02];
+
+/// A list of features that grows.
+struct List {
+    frame: &'static str,
+    /// Numbers of the state for a metre.
+    per_metre: f64,
+    features: Vec<Feature>,
+}
+
+impl List {
+    fn new(frame: &'static str, preset: Preset) -> Self {
+        Self { frame, per_metre: options::position_scale(preset), features: vec![] }
+    }
+
+    fn add(&mut self, name: &str, rule: Rule) {
+        self.features.push(Feature { name: name.into(), frame: self.frame.into(), rule });
+    }
+
+    /// An offset of three lengths at several scales, m: the first as it is, the others through tanh.
+    fn offset(&mut self, name: &str, to: usize, origin: Origin, scales: &[f64]) {
+        for (index, metres) in scales.iter().enumerate() {
+            let bound = if index == 0 { Bound::Clip } else { Bound::Tanh };
+            let scale = (metres * self.per_metre) as f32;
+            self.add(name, Rule::Offset { to, origin, count: 3, scale, bound });
+        }
+    }
+
+    /// Where something is from a fixed place, m.
+    fn place(&mut self, name: &str, to: usize, from: &Vector3<f64>, scale: f64) {
+        let from = Origin::Fixed(std::array::from_fn(|axis| (from[axis] * self.per_metre) as f32));
+        self.offset(name, to, from, &[scale]);
+    }
+
+    /// The tip of closed jaws of the arm whose numbers begin at `wrist`: along the y axis of its wrist link.
+    fn tip(&self, wrist: usize) -> Origin {
+        let ahead = (TIP_OFFSET * self.per_metre) as f32;
+        Origin::Point { at: wrist, angles: wrist + ANGLES, offset: [0.0, ahead, 0.0] }
+    }
+
+    fn done(self) -> Relative {
+        Relative { dims: [0; 2], features: self.features }
+    }
+}
+
+/// What stands where in the state of a task with PSMs and an object: see [`super::objects::observe`] and
+/// [`super::bimanual::observe`].
+pub(super) struct Grasping<'a, const ARMS: usize> {
+    /// The arms.
+    pub(super) arms: [&'a PsmArm; ARMS],
+    /// The object.
+    pub(super) object: &'a str,
+    /// The places at which it is grasped, in the state's order.
+    pub(super) places: [&'a str; ARMS],
+    /// Which of them each arm grasps.
+    pub(super) own: [usize; ARMS],
+    /// The unit of the state.
+    pub(super) preset: Preset,
+}
+
+impl<const ARMS: usize> Grasping<'_, ARMS> {
+    /// The features of such a task.
+    pub(super) fn features(&self) -> Relative {
+        let mut list = List::new("scene", self.preset);
+        let object = PsmArm::OBSERVED * ARMS;
+        let place = |index: usize| object + 3 + 3 * ARMS + 6 * index;
+        let achieved = place(ARMS);
+        let desired = achieved + 3;
+        let mut centre = Vector3::zeros();
+        for (index, arm) in self.arms.iter().enumerate() {
+            let name = if ARMS == 1 { String::new() } else { format!("PSM{} ", index + 1) };
+            let name = |what: &str| format!("{name}{what}");
+            let wrist = PsmArm::OBSERVED * index;
+            let own = self.own[index];
+            let [goal, grasped] =
+                ["goal", self.places[own]].map(|what| format!("{what} from {}", name("tip")));
+            let tip = list.tip(wrist);
+            list.wrist(&name, wrist, arm);
+            centre += arm.reach().centre() / ARMS as f64;
+            let middle = |from: f32, scale: f32, bound: Bound| Rule::Offset {
+                to: wrist + JAW,
+                origin: Origin::Fixed([from; 3]),
+                count: 1,
+                scale,
+                bound,
+            };
+            list.add(&name("jaw"), middle(JAW_MIDDLE, JAW_MIDDLE, Bound::Clip));
+            list.add(&name("jaw"), middle(THIN[0], THIN[1], Bound::Tanh));
+            let scales = [FAR, NEAR[0], NEAR[2]];
+            list.offset(&grasped, place(own), tip, &scales);
+            let (of, seen_from) = (place(own) + 3, wrist + ANGLES);
+            list.frame = "wrist link";
+            list.add(self.places[own], Rule::Rotation { of, seen_from: Some(seen_from) });
+            list.add(self.places[own], Rule::Axis { of, axis: 1, seen_from });
+            list.frame = "scene";
+            let body = format!("{} from {}", self.object, name("tip"));
+            list.offset(&body, object, tip, &[FAR]);
+            if ARMS > 1 {
+                let other = format!("{} from {}", self.places[1 - own], name("tip"));
+                list.offset(&other, place(1 - own), tip, &[FAR, NEAR[0]]);
+            }
+            list.offset(&goal, desired, tip, &[FAR]);
+        }
+        if ARMS > 1 {
+            let other = Origin::At(PsmArm::OBSERVED);
+            list.offset("PSM1 wrist from PSM2's", 0, other, &[FAR, NEAR[0]]);
+        }
+        list.place(self.object, object, &centre, FAR);
+        for (index, name) in self.places.iter().enumerate() {
+            list.add(name, Rule::Rotation { of: place(index) + 3, seen_from: None });
+        }
+        list.goal(achieved);
+        list.done()
+    }
+}
+
+impl List {
+    /// Where a wrist is, and how it is turned.
+    fn wrist(&mut self, name: &impl Fn(&str) -> String, at: usize, arm: &PsmArm) {
+        self.place(&name("wrist"), at, &arm.reach().centre(), FAR);
+        self.add(&name("wrist link"), Rule::Rotation { of: at + ANGLES, seen_from: None });
+    }
+
+    /// How far the desired goal is from the achieved one, which begins at `achieved`: a place.
+    fn goal(&mut self, achieved: usize) {
+        let scales = [FAR, NEAR[0], NEAR[1]];
+        self.offset("goal from achieved", achieved + 3, Origin::At(achieved), &scales);
+    }
+}
+
+/// The features of a task that moves the tip of an empty PSM.
+pub(super) fn reaching(arm: &PsmArm, preset: Preset) -> Relative {
+    let mut list = List::new("scene", preset);
+    let desired = PsmArm::OBSERVED + 3;
+    list.wrist(&|what| what.into(), 0, arm);
+    list.offset("goal from tip", desired, list.tip(0), &[FAR]);
+    list.goal(PsmArm::OBSERVED);
+    list.done()
+}
+
+/// The features of a task that moves the endoscope, whose pose is the first that its `state` has. From `turns` on it has
+/// three Euler angles each; all other numbers are told as parts of their range. `scales` are those of the goal's `count`
+/// numbers.
+pub(super) fn looking(
+    state: &[Element],
+    turns: &[usize],
+    count: usize,
+    scales: &[f32],
+) -> Relative {
+    /// What camera positions are told as parts of, m: about the arm's reach.
+    const REACH: f64 = 0.1;
+    /// Numbers of the endoscope's pose.
+    const POSE: usize = 6;
+    let mut list = List::new("rcm", Preset::Paper);
+    list.place("camera", 0, &Vector3::zeros(), REACH);
+    list.add("camera", Rule::Rotation { of: ANGLES, seen_from: None });
+    for at in turns {
+        list.frame = "world";
+        list.add("camera", Rule::Rotation { of: *at, seen_from: None });
+    }
+    list.frame = "";
+    for (to, element) in state.iter().enumerate().skip(POSE) {
+        if turns.iter().any(|at| (*at..at + 3).contains(&to)) {
+            continue;
+        }
+        let origin = Origin::Fixed([0.5 * (element.min + element.max); 3]);
+        let scale = 0.5 * (element.max - element.min);
+        let rule = Rule::Offset { to, origin, count: 1, scale, bound: Bound::Clip };
+        list.add(&element.name, rule);
+    }
+    let achieved = state.len();
+    for (index, scale) in scales.iter().enumerate() {
+        let bound = if index == 0 { Bound::Clip } else { Bound::Tanh };
+        let (to, origin) = (achieved + count, Origin::At(achieved));
+        list.add("goal from achieved", Rule::Offset { to, origin, count, scale: *scale, bound });
+    }
+    list.done()
+}
