@@ -81,7 +81,10 @@ def test_features_of_random_states_and_goals(task: str, server: str) -> None:
 
 @pytest.mark.parametrize("task", GOAL_TASKS)
 def test_an_environment_shows_the_same_bits(task: str, server: str) -> None:
-    words = {"observation": ("state", "relative"), "domain": {"observation_noise": (1e-3, 1e-3)}}
+    words: dict[str, Any] = {
+        "observation": ("state", "relative"),
+        "domain": {"observation_noise": (1e-3, 1e-3)},
+    }
     if task in ("EcmReach-v0", "MisOrient-v0", "StaticTrack-v0"):
         del words["domain"]
     envs = TrocarVectorEnv(task, 4, server=server, **words)
@@ -108,6 +111,6 @@ def test_what_is_no_state_is_refused(server: str) -> None:
         trocar.features(state, goal, goal, task="NeedlePick")
     env.close()
     track: Any = gym.make("trocar/ActiveTrack-v0", server=server)
-    with pytest.raises(ValueError, match="no relative features"):
+    with pytest.raises(trocar.errors.Unsupported, match="no relative features"):
         trocar.features(np.zeros(10), np.zeros(0), np.zeros(0), task=track)
     track.close()

@@ -26,7 +26,8 @@ def features(
         task: An environment of the task, or its ``task_spec``.
 
     Raises:
-        ValueError: An array has another shape, or the task has no goals and so no features.
+        ValueError: An array has another shape.
+        trocar.errors.Unsupported: The task has no goals, and so no features.
     """
     spec = getattr(getattr(task, "unwrapped", task), "task_spec", task)
     if not isinstance(spec, TaskSpec):

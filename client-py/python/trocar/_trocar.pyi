@@ -290,9 +290,10 @@ class TaskSpec:
 
         Some numbers each, in the order of :attr:`relative`. What all have is ``kind``:
 
-        - ``offset``: ``count`` numbers (x[to + k] - origin[k]) / scale, clipped to ±3 where ``bound``
-          is ``clip``, else their tanh. The origin is ``fixed`` where ``from`` is ``None``, else
-          x[from + k], with R(x[angles]) ``offset`` added where ``angles`` is not ``None``.
+        - ``offset``: ``count`` numbers (x[to + k] - origin[k]) / scale, clipped to ±3 where
+          ``bound`` is ``clip``, else their tanh. The origin is ``fixed`` where ``from`` is
+          ``None``, else x[from + k], with R(x[angles]) ``offset`` added where ``angles`` is
+          not ``None``.
         - ``rotation``: the first two columns of R(x[seen_from])ᵀ R(x[of]), or of R(x[of]) where
           ``seen_from`` is ``None``; R = Rz(yaw) Ry(pitch) Rx(roll) of three numbers.
         - ``axis``: 2 dx dy, 2 dy dz, 2 dx dz, dx² - dy², dy² - dz² of d, column ``axis`` of that.
