@@ -97,17 +97,10 @@ impl Chooser {
         seed: u64,
         mut after_step: impl FnMut(&Env, Option<Step>) -> anyhow::Result<()>,
     ) -> anyhow::Result<()> {
-        let mut player = self.player(seed);
-        let spec = env.spec();
-        let [mut action, mut observation, mut achieved, mut desired] =
-            [spec.action_dim(), spec.observation_dim(), spec.goal_dim(), spec.goal_dim()]
-                .map(|dim| vec![0.0; dim]);
+        let mut agent = self.agent(env.spec(), seed);
         env.reset(Some(seed));
         while !env.needs_reset() {
-            env.observe(&mut observation, &mut achieved, &mut desired);
-            let seen = Seen { observation: &observation, achieved: &achieved, desired: &desired };
-            player.act(&seen, &mut action, |action| env.expert(action))?;
-            let step = match env.step(&action) {
+            let step = match env.step(agent.act(env)?) {
                 Ok(step) => Some(step),
                 Err(StepError::Simulation { .. }) => None,
                 Err(error) => return Err(error.into()),
@@ -123,6 +116,30 @@ impl Chooser {
             Self::Policy(policy) => Self::Policy(*policy),
             Self::Network(network) => Self::Network(network.twin()),
         }
+    }
+
+    /// The tasks of the argument `--task`: where it is `all`, that for which a policy was trained, or `all()`.
+    pub(crate) fn tasks(
+        &self,
+        task: &str,
+        all: impl FnOnce() -> anyhow::Result<Vec<String>>,
+    ) -> anyhow::Result<Vec<String>> {
+        match (task, self) {
+            ("all", Self::Network(network)) => {
+                let without = "--task: the policy's file names no task, so this must".into();
+                Ok(vec![network.task().ok_or(Exit::Usage(without))?.to_string()])
+            }
+            ("all", Self::Policy(_)) => all(),
+            (task, _) => Ok(vec![task.to_string()]),
+        }
+    }
+
+    /// The one who acts in the episode of `seed` in an environment of this process.
+    pub(crate) fn agent(&self, spec: &TaskSpec, seed: u64) -> Agent {
+        let [action, observation, achieved, desired] =
+            [spec.action_dim(), spec.observation_dim(), spec.goal_dim(), spec.goal_dim()]
+                .map(|dim| vec![0.0; dim]);
+        Agent { player: self.player(seed), action, observation, achieved, desired }
     }
 
     /// The one who acts in the episode of `seed`.
@@ -172,5 +189,25 @@ impl Player {
             Self::Network(network) => network.act(seen, action)?,
         }
         Ok(())
+    }
+}
+
+/// Who acts in one environment of this process, and what it sees.
+pub(crate) struct Agent {
+    player: Player,
+    action: Vec<f32>,
+    observation: Vec<f32>,
+    achieved: Vec<f32>,
+    desired: Vec<f32>,
+}
+
+impl Agent {
+    /// The next action, (action dim).
+    pub(crate) fn act(&mut self, env: &Env) -> anyhow::Result<&[f32]> {
+        let Self { player, action, observation, achieved, desired } = self;
+        env.observe(observation, achieved, desired);
+        let seen = Seen { observation, achieved, desired };
+        player.act(&seen, action, |action| env.expert(action))?;
+        Ok(action)
     }
 }

@@ -16,7 +16,7 @@ use trocar_server::tasks::Registry;
 
 use crate::exit::Exit;
 use crate::options::{self, Assignment};
-use crate::policy::Policy;
+use crate::policy::Chooser;
 use image::Image;
 use look::{Format, GAP, Look};
 use moments::Moment;
@@ -30,6 +30,7 @@ Examples:
   trocar render --task ActiveTrack-v0 --fps 50 --out track.gif smoother, in as long
   trocar render --task PegTransfer-v0 --camera endoscope --show rgb,depth,mask --out peg.png
   trocar render --task NeedlePick-v0 --eye 0.8,0.2,0.9 --target 0.55,0,0.7 --out near.png
+  trocar render --policy policy.onnx --out trained.gif         a policy of `python -m trocar.rl export`
   trocar render --each pictures/                               one picture of each task
 
 Depth is brighter the nearer; every body has a colour of its own in the mask. MP4 is not written: GIF is
@@ -38,9 +39,9 @@ pub(crate) struct Render {
     /// A task id of `trocar tasks`, or all
     #[arg(long, default_value = "all")]
     task: String,
-    /// Who acts: the task's scripted expert, or uniformly random actions
-    #[arg(long, value_enum, default_value_t = Policy::Oracle)]
-    policy: Policy,
+    /// Who acts: oracle (the task's scripted expert), random, or a trained policy, FILE.onnx
+    #[arg(long, default_value = "oracle")]
+    policy: String,
     /// Seed of the episode
     #[arg(long, default_value_t = 3)]
     seed: u64,
@@ -60,15 +61,14 @@ pub(crate) struct Render {
 impl Render {
     pub(crate) fn run(self) -> anyhow::Result<()> {
         let registry = Registry::builtin();
-        let ids: Vec<_> = match self.task.as_str() {
-            "all" => registry.ids().map(str::to_string).collect(),
-            task => vec![task.to_string()],
-        };
+        let policy = Chooser::read(&self.policy)?;
+        let all = || Ok(registry.ids().map(str::to_string).collect());
+        let ids = policy.tasks(&self.task, all)?;
         let specs: Result<Vec<_>, _> =
             ids.iter().map(|id| registry.spec(id, &Options::new())).collect();
         let tasks = options::for_tasks(&self.options, &specs?)?;
         let (path, format) = match (&self.each, &self.out) {
-            (Some(folder), _) => return self.each(&registry, &tasks, folder),
+            (Some(folder), _) => return self.each(&registry, &policy, &tasks, folder),
             (None, Some(path)) => (path, Format::of(path)?),
             (None, None) => return Err(Exit::Usage("--out or --each is needed".into()).into()),
         };
@@ -76,7 +76,7 @@ impl Render {
             Format::Sheet => {
                 let mut rows = Vec::new();
                 for (task, options) in &tasks {
-                    let episode = self.episode(&registry, task, options, format)?;
+                    let episode = self.episode(&registry, &policy, task, options, format)?;
                     rows.push(self.look.row(&episode)?);
                     eprintln!("row {}: {task}, {} steps", rows.len(), episode.len() - 1);
                 }
@@ -85,7 +85,7 @@ impl Render {
             Format::Moving => {
                 let mut film = Vec::new();
                 for (task, options) in &tasks {
-                    film.extend(self.episode(&registry, task, options, format)?);
+                    film.extend(self.episode(&registry, &policy, task, options, format)?);
                     eprintln!("{task}: {} pictures so far", film.len());
                 }
                 self.look.write_film(path, &film)?;
@@ -99,13 +99,14 @@ impl Render {
     fn each(
         &self,
         registry: &Registry,
+        policy: &Chooser,
         tasks: &[(String, Options)],
         folder: &Path,
     ) -> anyhow::Result<()> {
         std::fs::create_dir_all(folder)
             .with_context(|| format!("creating {}", folder.display()))?;
         for (task, options) in tasks {
-            let episode = self.episode(registry, task, options, Format::Sheet)?;
+            let episode = self.episode(registry, policy, task, options, Format::Sheet)?;
             let path = folder.join(format!("{task}.png"));
             self.look.picture(&episode[amid(episode.len())].scene)?.write_png(&path)?;
             eprintln!("wrote {}", path.display());
@@ -117,24 +118,25 @@ impl Render {
     fn episode(
         &self,
         registry: &Registry,
+        policy: &Chooser,
         task: &str,
         options: &Options,
         format: Format,
     ) -> anyhow::Result<Vec<Moment>> {
         let mut env = registry.make(task, options)?;
+        policy.check(env.spec())?;
         env.reset(Some(self.seed));
-        let mut actor = self.policy.actor(self.seed);
-        let mut action = vec![0.0; env.spec().action_dim()];
+        let mut agent = policy.agent(env.spec(), self.seed);
         let mut moments = self.look.moments(format, env.spec().seconds_per_step);
         moments.see(env.stage(), || env.scene());
         while !env.needs_reset() {
-            actor.act(&mut action, |action| env.expert(action));
             let (stage, parts) = (env.stage(), moments.parts());
+            let action = agent.act(&env)?;
             let step = env
-                .step_in_parts(&action, parts, &mut |scene| moments.see(stage, || scene))
+                .step_in_parts(action, parts, &mut |scene| moments.see(stage, || scene))
                 .with_context(|| format!("{task} failed"))?;
             moments.see(env.stage(), || env.scene());
-            if step.is_success && self.policy == Policy::Oracle && is_at_rest(&env) {
+            if step.is_success && policy.asks_expert() && is_at_rest(&env) {
                 break; // nothing new is to be seen
             }
         }

@@ -16,7 +16,6 @@ use trocar_client::Client;
 use trocar_proto::{Options, TaskSpec, seed};
 use trocar_server::tasks::Registry;
 
-use crate::exit::Exit;
 use crate::options::{self, Assignment, Given};
 use crate::output;
 use crate::policy::Chooser;
@@ -189,15 +188,7 @@ impl Rollout {
         policy: &Chooser,
         assignments: &[Assignment],
     ) -> anyhow::Result<Vec<(String, Options)>> {
-        let ids = match (self.task.as_str(), policy) {
-            // A trained policy says what it was trained for.
-            ("all", Chooser::Network(network)) => {
-                let without = "--task: the policy's file names no task, so this must".into();
-                vec![network.task().ok_or(Exit::Usage(without))?.to_string()]
-            }
-            ("all", _) => place.tasks()?,
-            (task, _) => vec![task.to_string()],
-        };
+        let ids = policy.tasks(&self.task, || place.tasks())?;
         let specs = ids.iter().map(|task| place.spec(task, &Options::new()));
         let specs = specs.collect::<anyhow::Result<Vec<_>>>()?;
         options::for_tasks(assignments, &specs)

@@ -110,6 +110,26 @@ fn a_network_that_goes_to_the_goal_succeeds_and_its_opposite_does_not() {
 }
 
 #[test]
+fn it_can_be_looked_at() {
+    let (there, away) =
+        (towards_goal("seen", Some(TASK), 60.0, 3), towards_goal("unseen", Some(TASK), -60.0, 3));
+    let pictures = [&there, &away].map(|policy| {
+        let out = policy.with_extension("png");
+        let policy = ["--policy", policy.to_str().unwrap(), "--out", out.to_str().unwrap()];
+        let output = trocar(&["render"]).args(policy).output().unwrap();
+        let stderr = String::from_utf8_lossy(&output.stderr);
+        assert!(output.status.success() && stderr.contains(TASK), "{stderr}");
+        let picture = std::fs::read(&out).unwrap();
+        std::fs::remove_file(out).unwrap();
+        picture
+    });
+    assert_ne!(pictures[0], pictures[1], "one goes to the goal, the other away from it");
+    for path in [there, away] {
+        std::fs::remove_file(path).unwrap();
+    }
+}
+
+#[test]
 fn it_acts_the_same_in_a_server() {
     struct Server(Child);
     impl Drop for Server {
