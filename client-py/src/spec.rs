@@ -8,7 +8,7 @@ use pyo3::prelude::*;
 use pyo3::types::{PyBool, PyBytes, PyDict, PyString};
 use trocar_client::proto::control::{MAX_MESSAGE, decode, encode};
 use trocar_client::proto::goal::{Reward, SuccessRule};
-use trocar_client::proto::relative::{Bound as Limit, Origin, Rule};
+use trocar_client::proto::relative::{Bound as Limit, Place, Rule};
 use trocar_client::proto::spec;
 use trocar_client::{Code, OptionValue, Rejection};
 
@@ -207,22 +207,14 @@ impl TaskSpec {
 fn rule<'py>(py: Python<'py>, rule: &Rule) -> PyResult<Bound<'py, PyDict>> {
     let told = PyDict::new(py);
     match *rule {
-        Rule::Offset { to, origin, count, scale, bound } => {
-            let (from, fixed, point) = match origin {
-                Origin::At(from) => (Some(from), None, None),
-                Origin::Fixed(place) => (None, Some(place[..count].to_vec()), None),
-                Origin::Point { at, angles, offset } => (Some(at), None, Some((angles, offset))),
-            };
+        Rule::Offset { to, from, count, scale, bound } => {
             let bound = match bound {
                 Limit::Clip => "clip",
                 Limit::Tanh => "tanh",
             };
             told.set_item("kind", "offset")?;
-            told.set_item("to", to)?;
-            told.set_item("from", from)?;
-            told.set_item("fixed", fixed)?;
-            told.set_item("angles", point.map(|(angles, _)| angles))?;
-            told.set_item("offset", point.map(|(_, offset)| offset))?;
+            told.set_item("to", place(py, to)?)?;
+            told.set_item("from", place(py, from)?)?;
             told.set_item("count", count)?;
             told.set_item("scale", scale)?;
             told.set_item("bound", bound)?;
@@ -232,11 +224,26 @@ fn rule<'py>(py: Python<'py>, rule: &Rule) -> PyResult<Bound<'py, PyDict>> {
             told.set_item("of", of)?;
             told.set_item("seen_from", seen_from)?;
         }
-        Rule::Axis { of, axis, seen_from } => {
-            told.set_item("kind", "axis")?;
+        Rule::Line { of, direction, seen_from } => {
+            told.set_item("kind", "line")?;
             told.set_item("of", of)?;
-            told.set_item("axis", axis)?;
+            told.set_item("direction", direction)?;
             told.set_item("seen_from", seen_from)?;
+        }
+    }
+    Ok(told)
+}
+
+/// A place of one, in the same way.
+fn place(py: Python<'_>, place: Place) -> PyResult<Bound<'_, PyDict>> {
+    let told = PyDict::new(py);
+    match place {
+        Place::At(at) => told.set_item("at", at)?,
+        Place::Fixed(numbers) => told.set_item("fixed", numbers)?,
+        Place::On { at, angles, offset } => {
+            told.set_item("at", at)?;
+            told.set_item("angles", angles)?;
+            told.set_item("offset", offset)?;
         }
     }
     Ok(told)

@@ -35,15 +35,17 @@ def reference(program: list[dict[str, Any]], x: NDArray[np.float64]) -> NDArray[
         roll = np.array([[1, 0, 0], [0, cr, -sr], [0, sr, cr]])
         return yaw @ pitch @ roll  # type: ignore[no-any-return]
 
+    def place(told: dict[str, Any]) -> NDArray[np.float64]:
+        if "fixed" in told:
+            return np.array(told["fixed"])
+        at = x[told["at"] : told["at"] + 3]
+        return at + turn(told["angles"]) @ told["offset"] if "angles" in told else at
+
     rows = []
     for told in program:
         if told["kind"] == "offset":
-            span = range(told["count"])
-            at = told["from"]
-            origin = np.array(told["fixed"] if at is None else [x[at + k] for k in span])
-            if told["angles"] is not None:
-                origin = origin + turn(told["angles"]) @ told["offset"]
-            offset = (np.array([x[told["to"] + k] for k in span]) - origin) / told["scale"]
+            ends = [place(told[end])[: told["count"]] for end in ("to", "from")]
+            offset = (ends[0] - ends[1]) / told["scale"]
             rows.append(np.clip(offset, -3, 3) if told["bound"] == "clip" else np.tanh(offset))
             continue
         of = turn(told["of"])
@@ -51,7 +53,7 @@ def reference(program: list[dict[str, Any]], x: NDArray[np.float64]) -> NDArray[
         if told["kind"] == "rotation":
             rows.append(np.concatenate([seen[:, 0], seen[:, 1]]))
         else:
-            dx, dy, dz = seen[:, told["axis"]]
+            dx, dy, dz = seen @ told["direction"]
             rows.append(
                 np.array([2 * dx * dy, 2 * dy * dz, 2 * dx * dz, dx**2 - dy**2, dy**2 - dz**2])
             )

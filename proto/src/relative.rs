@@ -44,12 +44,12 @@ pub struct Feature {
 /// where they begin.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub enum Rule {
-    /// (x\[to\] − origin) / scale, within a bound, for `count` numbers in a row.
+    /// (to − from) / scale, within a bound, for the first `count` numbers of two places.
     Offset {
         /// What is told.
-        to: usize,
+        to: Place,
         /// From what.
-        origin: Origin,
+        from: Place,
         /// How many numbers.
         count: usize,
         /// What 1 stands for, in the unit of x.
@@ -65,27 +65,27 @@ pub enum Rule {
         /// In whose axes that is told.
         seen_from: Option<usize>,
     },
-    /// Of d, column `axis` of R(x\[seen_from\])ᵀ · R(x\[of\]): 2·dx·dy, 2·dy·dz, 2·dx·dz, dx² − dy², dy² − dz². They are
+    /// Of d = R(x\[seen_from\])ᵀ · R(x\[of\]) · direction: 2·dx·dy, 2·dy·dz, 2·dx·dz, dx² − dy², dy² − dz². They are
     /// the same for d and −d: half a turn makes no difference to how a wire is grasped.
-    Axis {
+    Line {
         /// What is turned.
         of: usize,
-        /// Which of its axes.
-        axis: usize,
+        /// A direction in its axes, of length 1.
+        direction: [f32; 3],
         /// In whose axes that is told.
         seen_from: usize,
     },
 }
 
-/// From what an offset is told.
+/// Three numbers; or fewer, of which there are as many as are told.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-pub enum Origin {
-    /// Numbers of x.
+pub enum Place {
+    /// Those of x from here on.
     At(usize),
-    /// A fixed place.
+    /// Always these.
     Fixed([f32; 3]),
-    /// The point x\[at\] + R(x\[angles\]) · offset: it is fixed to what is turned so.
-    Point {
+    /// x\[at\] + R(x\[angles\]) · offset: a point that is fixed to what is turned so.
+    On {
         /// Where that is.
         at: usize,
         /// How it is turned.
@@ -110,7 +110,7 @@ impl Rule {
         match self {
             Self::Offset { count, .. } => *count,
             Self::Rotation { .. } => 6,
-            Self::Axis { .. } => 5,
+            Self::Line { .. } => 5,
         }
     }
 
@@ -130,25 +130,16 @@ impl Rule {
             Self::Rotation { .. } => {
                 &[" x of x", " y of x", " z of x", " x of y", " y of y", " z of y"]
             }
-            Self::Axis { .. } => &[" 2xy", " 2yz", " 2xz", " x²−y²", " y²−z²"],
+            Self::Line { .. } => &[" 2xy", " 2yz", " 2xz", " x²−y²", " y²−z²"],
         }
     }
 
     fn write(&self, x: &[f32], numbers: &mut [f32]) {
         match *self {
-            Self::Offset { to, origin, scale, bound, .. } => {
-                let beyond = match origin {
-                    Origin::Point { angles, offset, .. } => {
-                        rotation(x, angles) * Vector3::from(offset.map(f64::from))
-                    }
-                    _ => Vector3::zeros(),
-                };
+            Self::Offset { to, from, count, scale, bound } => {
+                let (to, from) = (to.of(x, count), from.of(x, count));
                 for (index, number) in numbers.iter_mut().enumerate() {
-                    let origin = f64::from(match origin {
-                        Origin::At(at) | Origin::Point { at, .. } => x[at + index],
-                        Origin::Fixed(place) => place[index],
-                    }) + beyond[index];
-                    let offset = (f64::from(x[to + index]) - origin) / f64::from(scale);
+                    let offset = (to[index] - from[index]) / f64::from(scale);
                     *number = match bound {
                         Bound::Clip => (offset as f32).clamp(-CLIP, CLIP),
                         Bound::Tanh => libm::tanh(offset) as f32,
@@ -163,9 +154,9 @@ impl Rule {
                     *number = *part as f32;
                 }
             }
-            Self::Axis { of, axis, seen_from } => {
-                let axis = rotation(x, of).column(axis).into_owned();
-                let d: Vector3<f64> = rotation(x, seen_from).transpose() * axis;
+            Self::Line { of, direction, seen_from } => {
+                let direction = rotation(x, of) * Vector3::from(direction.map(f64::from));
+                let d = rotation(x, seen_from).transpose() * direction;
                 let products = [
                     2.0 * d.x * d.y,
                     2.0 * d.y * d.z,
@@ -176,6 +167,21 @@ impl Rule {
                 for (number, product) in numbers.iter_mut().zip(products) {
                     *number = product as f32;
                 }
+            }
+        }
+    }
+}
+
+impl Place {
+    fn of(self, x: &[f32], count: usize) -> Vector3<f64> {
+        let three = |numbers: &[f32]| {
+            Vector3::from_fn(|axis, _| numbers.get(axis).map_or(0.0, |number| f64::from(*number)))
+        };
+        match self {
+            Self::At(at) => three(&x[at..at + count]),
+            Self::Fixed(place) => three(&place),
+            Self::On { at, angles, offset } => {
+                three(&x[at..at + count]) + rotation(x, angles) * three(&offset)
             }
         }
     }
@@ -313,21 +319,25 @@ mod tests {
 
     #[test]
     fn an_offset_is_scaled_and_bounded() {
-        let rule = |origin, bound| Rule::Offset { to: 2, origin, count: 2, scale: 0.5, bound };
+        let rule =
+            |from, bound| Rule::Offset { to: Place::At(2), from, count: 2, scale: 0.5, bound };
         let goals: [&[f32]; 2] = [&[0.25, 9.0], &[0.0, 0.0]];
-        let clipped = features(rule(Origin::At(0), Bound::Clip), &[0.0, 1.0], goals);
+        let clipped = features(rule(Place::At(0), Bound::Clip), &[0.0, 1.0], goals);
         assert_eq!(clipped, [0.5, 3.0]);
-        let fixed = features(rule(Origin::Fixed([1.0, 8.5, 0.0]), Bound::Tanh), &[0.0, 1.0], goals);
+        let fixed = features(rule(Place::Fixed([1.0, 8.5, 0.0]), Bound::Tanh), &[0.0, 1.0], goals);
         assert_eq!(fixed, [-1.5, 1.0].map(|number| libm::tanh(number) as f32));
     }
 
     #[test]
-    fn an_offset_may_be_from_a_point_of_what_is_turned() {
+    fn a_place_may_be_on_what_is_turned() {
         // A quarter turn about z takes 2 along x to 2 along y.
-        let origin = Origin::Point { at: 0, angles: 3, offset: [2.0, 0.0, 0.0] };
-        let rule = Rule::Offset { to: 6, origin, count: 3, scale: 1.0, bound: Bound::Clip };
+        let on = Place::On { at: 0, angles: 3, offset: [2.0, 0.0, 0.0] };
+        let rule = |to, from| Rule::Offset { to, from, count: 3, scale: 1.0, bound: Bound::Clip };
         let state = [1.0, 0.0, 0.0, 0.0, 0.0, FRAC_PI_2, 1.0, 2.5, 0.0];
-        assert!(are_close(&features(rule, &state, [&[], &[]]), &[0.0, 0.5, 0.0]));
+        let from = features(rule(Place::At(6), on), &state, [&[], &[]]);
+        assert!(are_close(&from, &[0.0, 0.5, 0.0]), "{from:?}");
+        let to = features(rule(on, Place::At(6)), &state, [&[], &[]]);
+        assert!(are_close(&to, &[0.0, -0.5, 0.0]), "{to:?}");
     }
 
     #[test]
@@ -349,7 +359,7 @@ mod tests {
 
     #[test]
     fn half_a_turn_of_a_wire_makes_no_difference() {
-        let rule = || Rule::Axis { of: 3, axis: 1, seen_from: 0 };
+        let rule = || Rule::Line { of: 3, direction: [0.0, 1.0, 0.0], seen_from: 0 };
         // Half a turn about x takes y to −y.
         let seen = |roll: f32| features(rule(), &[0.3, 0.1, -0.2, roll, -0.1, 0.4], [&[], &[]]);
         assert!(are_close(&seen(0.5), &seen(0.5 - PI)));

@@ -290,13 +290,13 @@ class TaskSpec:
 
         Some numbers each, in the order of :attr:`relative`. What all have is ``kind``:
 
-        - ``offset``: ``count`` numbers (x[to + k] - origin[k]) / scale, clipped to ±3 where
-          ``bound`` is ``clip``, else their tanh. The origin is ``fixed`` where ``from`` is
-          ``None``, else x[from + k], with R(x[angles]) ``offset`` added where ``angles`` is
-          not ``None``.
+        - ``offset``: ``count`` numbers (to - from) / scale of two places; clipped to ±3 where
+          ``bound`` is ``clip``, else their tanh. A place is ``fixed``, or x[at], or where there are
+          ``angles`` x[at] + R(x[angles]) ``offset``.
         - ``rotation``: the first two columns of R(x[seen_from])ᵀ R(x[of]), or of R(x[of]) where
           ``seen_from`` is ``None``; R = Rz(yaw) Ry(pitch) Rx(roll) of three numbers.
-        - ``axis``: 2 dx dy, 2 dy dz, 2 dx dz, dx² - dy², dy² - dz² of d, column ``axis`` of that.
+        - ``line``: 2 dx dy, 2 dy dz, 2 dx dz, dx² - dy², dy² - dz² of
+          d = R(x[seen_from])ᵀ R(x[of]) ``direction``.
         """
     def features(
         self, observation: ArrayLike, achieved: ArrayLike, desired: ArrayLike

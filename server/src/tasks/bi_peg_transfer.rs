@@ -222,7 +222,8 @@ impl Task for BiPegTransfer {
             arms: [one, two],
             object: "block",
             places: walls,
-            own: [0, 1],
+            grips: [0, 1].map(|_| peg_expert::grips(self.layout.block, WALLS[0])),
+            level: Some(peg_expert::clear_of_pegs(self.layout.block)),
             preset: self.preset,
         };
         TaskSpec {

@@ -113,7 +113,7 @@ use super::options::{self, Preset};
 use super::pad::Pad;
 use super::pick::Pick;
 use super::psm_scene::{self, MAX_STEPS, PaperAction, PsmArm, Station, Turn, WORKSPACE};
-use super::relative::Grasping;
+use super::relative::{Grasping, Grip};
 use super::start::{self, Start};
 use super::theatre;
 use super::{Arms, Task};
@@ -197,7 +197,8 @@ impl Task for GauzeRetrieve {
             arms: [&self.arm],
             object: "gauze",
             places: ["crest"],
-            own: [0],
+            grips: [vec![Grip::at(0, "crest")]],
+            level: None,
             preset: self.preset,
         };
         TaskSpec {

@@ -110,7 +110,7 @@ use super::options::{self, Preset};
 use super::pad::Pad;
 use super::pick::{self, Pick};
 use super::psm_scene::{self, MAX_STEPS, PaperAction, PsmArm, Station, Turn, WORKSPACE};
-use super::relative::Grasping;
+use super::relative::{Grasping, Grip};
 use super::start::{self, Start};
 use super::theatre;
 use super::tray::{self, Needle};
@@ -195,7 +195,8 @@ impl Task for NeedlePick {
             arms: [&self.arm],
             object: "needle",
             places: ["mid arc"],
-            own: [0],
+            grips: [vec![Grip::at(0, "mid arc")]],
+            level: None,
             preset: self.preset,
         };
         TaskSpec {

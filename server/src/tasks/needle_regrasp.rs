@@ -122,7 +122,7 @@ use super::options::{self, Preset};
 use super::psm_scene::{
     self, MAX_STEPS, PITCH_LIMIT, PaperAction, PsmArm, Station, Turn, pitch_across, pitched,
 };
-use super::relative::Grasping;
+use super::relative::{Grasping, Grip};
 use super::theatre;
 use super::tray::{self, Needle};
 use super::{Arms, Task, time};
@@ -240,7 +240,8 @@ impl Task for NeedleRegrasp {
             arms: [one, two],
             object: "needle",
             places,
-            own: [1, 0], // PSM2 takes the needle near its point
+            grips: [vec![Grip::at(1, places[1])], vec![Grip::at(0, places[0])]],
+            level: None,
             preset: self.preset,
         };
         TaskSpec {

@@ -11,6 +11,7 @@ use super::expert::{ArmView, ExpertInput};
 use super::peg_board::{Block, PegBoard};
 use super::pick::jaws_across;
 use super::psm_scene::PsmArm;
+use super::relative::Grip;
 use super::start::Start;
 use crate::sim::frames::Pose;
 use crate::sim::instrument::{FINGER_HALF, JAW_CLOSED, JAW_OPEN, TIP_OFFSET};
@@ -212,6 +213,23 @@ pub(super) fn outwards(block: Block, pose: &Pose, wall: usize) -> Vector3<f64> {
     let wall = pose * block.block_from_wall(wall);
     // A block that lies on its side has no wall to grasp: any direction does.
     level(&(wall.rotation * -Vector3::x())).try_normalize(1e-3).unwrap_or(-Vector3::x())
+}
+
+/// Where the tips of jaws go that grasp a block of which wall `seen` is observed: on each of its walls, that one first.
+pub(super) fn grips(block: Block, seen: usize) -> Vec<Grip> {
+    let grip = |wall: usize| {
+        let seen_from_wall = block.block_from_wall(seen).inv_mul(&block.block_from_wall(wall));
+        let tip = Vector3::z() * (block.half_height() - DEPTH);
+        let offset = seen_from_wall.translation.vector + seen_from_wall.rotation * tip;
+        let along = seen_from_wall.rotation * Vector3::y();
+        Grip { name: format!("wall {wall}"), place: 0, offset, along }
+    };
+    (0..Block::WALLS).map(|next| grip((seen + next) % Block::WALLS)).collect()
+}
+
+/// Height of the middle of a block that hangs straight and clears the pegs, m.
+pub(super) fn clear_of_pegs(block: Block) -> f64 {
+    peg_top() + PASS + block.half_height()
 }
 
 /// The wrist that grasps a wall of a block in the air: jaws straight down across the wall.

@@ -107,7 +107,7 @@ use super::expert::{ArmView, ExpertInput};
 use super::objects;
 use super::options::{self, Preset};
 use super::peg_board::{Block, Layout, PegBoard};
-use super::peg_expert::Transfer;
+use super::peg_expert::{self, Transfer};
 use super::psm_scene::{self, MAX_STEPS, PaperAction, PsmArm, Station, Turn, WORKSPACE};
 use super::relative::Grasping;
 use super::start::{self, Start};
@@ -177,7 +177,8 @@ impl Task for PegTransfer {
             arms: [&self.arm],
             object: "block",
             places: ["wall 1"],
-            own: [0],
+            grips: [peg_expert::grips(self.layout.block, WALL)],
+            level: Some(peg_expert::clear_of_pegs(self.layout.block)),
             preset: self.preset,
         };
         TaskSpec {

@@ -4,8 +4,9 @@
 //! |---|---|
 //! | all | desired goal from achieved goal, at several scales |
 //! | PSM | each wrist: its place, its turn; the goal from the tip of its jaws |
-//! | PSM with an object | its jaw; from each tip: the place to grasp, at several scales, and the object; in the wrist's axes, the turn of that place and that of its y axis, which half a turn leaves alone; the object and the turns of its places in the scene |
-//! | two PSMs | the other arm's place from each tip, and the wrists from each other |
+//! | PSM with an object | its jaw; from each tip: every point at which the object can be grasped, and the object; in the wrist's axes: the line along which the jaws lie there, which half a turn leaves alone, and the turns of the object's places; these and the object in the scene, too |
+//! | two PSMs | the wrists from each other |
+//! | blocks | at which height they clear the pegs |
 //! | ECM | the camera's place and turns; what the task sees |
 //!
 //! Lengths are told as parts of 50 mm, up to 150 mm, and through tanh as parts of 10, 3 and 1 mm: there a policy tells a
@@ -13,7 +14,7 @@
 
 use nalgebra::Vector3;
 use trocar_proto::Options;
-use trocar_proto::relative::{Bound, Feature, Origin, Relative, Rule};
+use trocar_proto::relative::{Bound, Feature, Place, Relative, Rule};
 use trocar_proto::spec::{Element, TaskSpec};
 
 use super::options::{self, Preset};
@@ -63,29 +64,63 @@ impl List {
         self.features.push(Feature { name: name.into(), frame: self.frame.into(), rule });
     }
 
-    /// An offset of three lengths at several scales, m: the first as it is, the others through tanh.
-    fn offset(&mut self, name: &str, to: usize, origin: Origin, scales: &[f64]) {
-        for (index, metres) in scales.iter().enumerate() {
-            let bound = if index == 0 { Bound::Clip } else { Bound::Tanh };
+    /// An offset of three lengths at several scales, m: through tanh where they are small.
+    fn offset(&mut self, name: &str, to: Place, from: Place, scales: &[f64]) {
+        for metres in scales {
+            let bound = if *metres < FAR { Bound::Tanh } else { Bound::Clip };
             let scale = (metres * self.per_metre) as f32;
-            self.add(name, Rule::Offset { to, origin, count: 3, scale, bound });
+            self.add(name, Rule::Offset { to, from, count: 3, scale, bound });
         }
     }
 
     /// Where something is from a fixed place, m.
     fn place(&mut self, name: &str, to: usize, from: &Vector3<f64>, scale: f64) {
-        let from = Origin::Fixed(std::array::from_fn(|axis| (from[axis] * self.per_metre) as f32));
-        self.offset(name, to, from, &[scale]);
+        let from = Place::Fixed(self.numbers(from));
+        self.offset(name, Place::At(to), from, &[scale]);
+    }
+
+    /// How far jaws are open: all of their range, and how nearly they are closed.
+    fn jaw(&mut self, name: &str, at: usize) {
+        let scales = [(JAW_MIDDLE, JAW_MIDDLE, Bound::Clip), (THIN[0], THIN[1], Bound::Tanh)];
+        for (from, scale, bound) in scales {
+            let (to, from) = (Place::At(at), Place::Fixed([from; 3]));
+            self.add(name, Rule::Offset { to, from, count: 1, scale, bound });
+        }
     }
 
     /// The tip of closed jaws of the arm whose numbers begin at `wrist`: along the y axis of its wrist link.
-    fn tip(&self, wrist: usize) -> Origin {
-        let ahead = (TIP_OFFSET * self.per_metre) as f32;
-        Origin::Point { at: wrist, angles: wrist + ANGLES, offset: [0.0, ahead, 0.0] }
+    fn tip(&self, wrist: usize) -> Place {
+        let offset = self.numbers(&(Vector3::y() * TIP_OFFSET));
+        Place::On { at: wrist, angles: wrist + ANGLES, offset }
+    }
+
+    /// A place or way of so many metres in the unit of the state.
+    fn numbers(&self, metres: &Vector3<f64>) -> [f32; 3] {
+        metres.map(|metres| (metres * self.per_metre) as f32).into()
     }
 
     fn done(self) -> Relative {
         Relative { dims: [0; 2], features: self.features }
+    }
+}
+
+/// A point at which an object is grasped, on one of the places that its state has.
+pub(super) struct Grip {
+    /// Its name.
+    pub(super) name: String,
+    /// Which place of the state it is on.
+    pub(super) place: usize,
+    /// Where the tips of the jaws go, m, in the axes of that place.
+    pub(super) offset: Vector3<f64>,
+    /// Along what the jaws lie that hold it, in the same axes, length 1. Half a turn about the way in makes no difference.
+    pub(super) along: Vector3<f64>,
+}
+
+impl Grip {
+    /// The place of this number itself, along its y axis.
+    pub(super) fn at(place: usize, name: &str) -> Self {
+        let (offset, along) = (Vector3::zeros(), Vector3::y());
+        Self { name: name.into(), place, offset, along }
     }
 }
 
@@ -96,10 +131,12 @@ pub(super) struct Grasping<'a, const ARMS: usize> {
     pub(super) arms: [&'a PsmArm; ARMS],
     /// The object.
     pub(super) object: &'a str,
-    /// The places at which it is grasped, in the state's order.
+    /// The places that its state has, by name.
     pub(super) places: [&'a str; ARMS],
-    /// Which of them each arm grasps.
-    pub(super) own: [usize; ARMS],
+    /// Where each arm grasps it, first of all on its own place.
+    pub(super) grips: [Vec<Grip>; ARMS],
+    /// A height of the object that matters to a millimetre, m, scene frame.
+    pub(super) level: Option<f64>,
     /// The unit of the state.
     pub(super) preset: Preset,
 }
@@ -117,41 +154,47 @@ impl<const ARMS: usize> Grasping<'_, ARMS> {
             let name = if ARMS == 1 { String::new() } else { format!("PSM{} ", index + 1) };
             let name = |what: &str| format!("{name}{what}");
             let wrist = PsmArm::OBSERVED * index;
-            let own = self.own[index];
-            let [goal, grasped] =
-                ["goal", self.places[own]].map(|what| format!("{what} from {}", name("tip")));
+            let seen_from = wrist + ANGLES;
             let tip = list.tip(wrist);
             list.wrist(&name, wrist, arm);
+            list.jaw(&name("jaw"), wrist + JAW);
             centre += arm.reach().centre() / ARMS as f64;
-            let middle = |from: f32, scale: f32, bound: Bound| Rule::Offset {
-                to: wrist + JAW,
-                origin: Origin::Fixed([from; 3]),
-                count: 1,
-                scale,
-                bound,
-            };
-            list.add(&name("jaw"), middle(JAW_MIDDLE, JAW_MIDDLE, Bound::Clip));
-            list.add(&name("jaw"), middle(THIN[0], THIN[1], Bound::Tanh));
-            let scales = [FAR, NEAR[0], NEAR[2]];
-            list.offset(&grasped, place(own), tip, &scales);
-            let (of, seen_from) = (place(own) + 3, wrist + ANGLES);
-            list.frame = "wrist link";
-            list.add(self.places[own], Rule::Rotation { of, seen_from: Some(seen_from) });
-            list.add(self.places[own], Rule::Axis { of, axis: 1, seen_from });
-            list.frame = "scene";
-            let body = format!("{} from {}", self.object, name("tip"));
-            list.offset(&body, object, tip, &[FAR]);
-            if ARMS > 1 {
-                let other = format!("{} from {}", self.places[1 - own], name("tip"));
-                list.offset(&other, place(1 - own), tip, &[FAR, NEAR[0]]);
+            for grip in &self.grips[index] {
+                let (at, angles) = (place(grip.place), place(grip.place) + 3);
+                let offset = list.numbers(&grip.offset);
+                let from_tip = format!("{} from {}", grip.name, name("tip"));
+                list.offset(
+                    &from_tip,
+                    Place::On { at, angles, offset },
+                    tip,
+                    &[FAR, NEAR[0], NEAR[2]],
+                );
+                let direction = grip.along.map(|part| part as f32).into();
+                let rule = Rule::Line { of: angles, direction, seen_from };
+                list.add(&format!("{} in {}", grip.name, name("wrist")), rule);
             }
-            list.offset(&goal, desired, tip, &[FAR]);
+            for (index, of) in self.places.iter().enumerate() {
+                let rule = Rule::Rotation { of: place(index) + 3, seen_from: Some(seen_from) };
+                list.add(&format!("{of} in {}", name("wrist")), rule);
+            }
+            list.offset(
+                &format!("{} from {}", self.object, name("tip")),
+                Place::At(object),
+                tip,
+                &[FAR],
+            );
+            list.offset(&format!("goal from {}", name("tip")), Place::At(desired), tip, &[FAR]);
         }
         if ARMS > 1 {
-            let other = Origin::At(PsmArm::OBSERVED);
-            list.offset("PSM1 wrist from PSM2's", 0, other, &[FAR, NEAR[0]]);
+            let other = Place::At(PsmArm::OBSERVED);
+            list.offset("PSM1 wrist from PSM2's", Place::At(0), other, &[FAR, NEAR[0]]);
         }
         list.place(self.object, object, &centre, FAR);
+        if let Some(level) = self.level {
+            centre.z = level;
+            let from = Place::Fixed(list.numbers(&centre));
+            list.offset(&format!("{}, level", self.object), Place::At(object), from, &NEAR[..2]);
+        }
         for (index, name) in self.places.iter().enumerate() {
             list.add(name, Rule::Rotation { of: place(index) + 3, seen_from: None });
         }
@@ -170,7 +213,7 @@ impl List {
     /// How far the desired goal is from the achieved one, which begins at `achieved`: a place.
     fn goal(&mut self, achieved: usize) {
         let scales = [FAR, NEAR[0], NEAR[1]];
-        self.offset("goal from achieved", achieved + 3, Origin::At(achieved), &scales);
+        self.offset("goal from achieved", Place::At(achieved + 3), Place::At(achieved), &scales);
     }
 }
 
@@ -179,7 +222,7 @@ pub(super) fn reaching(arm: &PsmArm, preset: Preset) -> Relative {
     let mut list = List::new("scene", preset);
     let desired = PsmArm::OBSERVED + 3;
     list.wrist(&|what| what.into(), 0, arm);
-    list.offset("goal from tip", desired, list.tip(0), &[FAR]);
+    list.offset("goal from tip", Place::At(desired), list.tip(0), &[FAR]);
     list.goal(PsmArm::OBSERVED);
     list.done()
 }
@@ -209,16 +252,17 @@ pub(super) fn looking(
         if turns.iter().any(|at| (*at..at + 3).contains(&to)) {
             continue;
         }
-        let origin = Origin::Fixed([0.5 * (element.min + element.max); 3]);
+        let from = Place::Fixed([0.5 * (element.min + element.max); 3]);
         let scale = 0.5 * (element.max - element.min);
-        let rule = Rule::Offset { to, origin, count: 1, scale, bound: Bound::Clip };
+        let (to, bound) = (Place::At(to), Bound::Clip);
+        let rule = Rule::Offset { to, from, count: 1, scale, bound };
         list.add(&element.name, rule);
     }
     let achieved = state.len();
     for (index, scale) in scales.iter().enumerate() {
         let bound = if index == 0 { Bound::Clip } else { Bound::Tanh };
-        let (to, origin) = (achieved + count, Origin::At(achieved));
-        list.add("goal from achieved", Rule::Offset { to, origin, count, scale: *scale, bound });
+        let (to, from) = (Place::At(achieved + count), Place::At(achieved));
+        list.add("goal from achieved", Rule::Offset { to, from, count, scale: *scale, bound });
     }
     list.done()
 }
