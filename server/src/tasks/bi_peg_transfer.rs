@@ -222,7 +222,10 @@ impl Task for BiPegTransfer {
             arms: [one, two],
             object: "block",
             places: walls,
-            grips: [0, 1].map(|_| peg_expert::grips(self.layout.block, WALLS[0])),
+            grips: [
+                peg_expert::grips_in_air(self.layout.block, WALLS[0]),
+                peg_expert::grips_on_peg(self.layout.block, WALLS[0]),
+            ],
             level: Some(peg_expert::clear_of_pegs(self.layout.block)),
             preset: self.preset,
         };

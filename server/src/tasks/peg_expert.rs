@@ -215,14 +215,35 @@ pub(super) fn outwards(block: Block, pose: &Pose, wall: usize) -> Vector3<f64> {
     level(&(wall.rotation * -Vector3::x())).try_normalize(1e-3).unwrap_or(-Vector3::x())
 }
 
-/// Where the tips of jaws go that grasp a block of which wall `seen` is observed: on each of its walls, that one first.
-pub(super) fn grips(block: Block, seen: usize) -> Vec<Grip> {
+/// Where the tips of jaws go that grasp a block in the air of which wall `seen` is observed: on each of its walls, that
+/// one first.
+pub(super) fn grips_in_air(block: Block, seen: usize) -> Vec<Grip> {
+    grips(block, seen, &Pose::identity(), grasp_in_air)
+}
+
+/// The same of a block that stands about a peg.
+pub(super) fn grips_on_peg(block: Block, seen: usize) -> Vec<Grip> {
+    let on_peg = Pose::from(PegBoard::peg(0)); // whichever: they are alike
+    grips(block, seen, &on_peg, |block, pose, wall, wrist| grasp(block, pose, wall, wrist).0)
+}
+
+fn grips(
+    block: Block,
+    seen: usize,
+    pose: &Pose,
+    grasp: impl Fn(Block, &Pose, usize, &Pose) -> Pose,
+) -> Vec<Grip> {
     let grip = |wall: usize| {
-        let seen_from_wall = block.block_from_wall(seen).inv_mul(&block.block_from_wall(wall));
-        let tip = Vector3::z() * (block.half_height() - DEPTH);
-        let offset = seen_from_wall.translation.vector + seen_from_wall.rotation * tip;
-        let along = seen_from_wall.rotation * Vector3::y();
-        Grip { name: format!("wall {wall}"), place: 0, offset, along }
+        let wrist = grasp(block, pose, wall, pose);
+        let tip = wrist.translation.vector - Vector3::z() * TIP_OFFSET;
+        let scene_from_seen = pose * block.block_from_wall(seen);
+        let along = (pose * block.block_from_wall(wall)).rotation * Vector3::y();
+        Grip {
+            name: format!("wall {wall}"),
+            place: 0,
+            offset: scene_from_seen.inverse_transform_point(&tip.into()).coords,
+            along: scene_from_seen.inverse_transform_vector(&along),
+        }
     };
     (0..Block::WALLS).map(|next| grip((seen + next) % Block::WALLS)).collect()
 }

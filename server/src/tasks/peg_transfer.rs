@@ -177,7 +177,7 @@ impl Task for PegTransfer {
             arms: [&self.arm],
             object: "block",
             places: ["wall 1"],
-            grips: [peg_expert::grips(self.layout.block, WALL)],
+            grips: [peg_expert::grips_on_peg(self.layout.block, WALL)],
             level: Some(peg_expert::clear_of_pegs(self.layout.block)),
             preset: self.preset,
         };
