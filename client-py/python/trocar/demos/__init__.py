@@ -8,7 +8,7 @@ environments, so the same recipe gives the same data. Each step is labelled with
 expert is in, by number in :data:`trocar.STAGES`.
 """
 
-from trocar.demos._episodes import Episode
+from trocar.demos._episodes import Episode, run
 from trocar.demos._record import FORMATS, Recipe, Recording, dataset_path, record
 
-__all__ = ["FORMATS", "Episode", "Recipe", "Recording", "dataset_path", "record"]
+__all__ = ["FORMATS", "Episode", "Recipe", "Recording", "dataset_path", "record", "run"]

@@ -1,11 +1,15 @@
-"""Training: DDPG, hindsight replay, demonstrations and PPO on Trocar's tasks.
+"""Training: from demonstrations in minutes, and the paper's algorithms, on Trocar's tasks.
 
 Needs the extra ``trocar[rl]``. From a shell:
 
-    python -m trocar.rl train --task NeedlePick --algo her-demo --seed 1
-    python -m trocar.rl evaluate runs/NeedlePick-v0/her-demo/seed-1 --episodes 200
+    python -m trocar.rl train --task NeedlePick
+    python -m trocar.rl evaluate runs/NeedlePick-v0/td3-demo/seed-0 --episodes 200
     python -m trocar.rl curves runs --out curves.png
-    python -m trocar.rl export runs/NeedlePick-v0/her-demo/seed-1 --out policy.onnx
+    python -m trocar.rl export runs/NeedlePick-v0/td3-demo/seed-0 --out policy.onnx
+
+Parts to build on: :func:`play` plays episodes of many environments, :class:`Episodes` keeps them and
+draws transitions with hindsight goals, :class:`Inputs` is what networks see, :class:`Td3Demo`,
+:class:`Cloning` and :class:`Dagger` learn.
 """
 
 try:
@@ -19,22 +23,42 @@ except ImportError as error:
     ) from error
 
 from trocar.rl.algorithms import GoalDDPG, NormalisedDDPG, NormalisedPPO
-from trocar.rl.config import ALGORITHMS, Config, load
+from trocar.rl.config import ALGORITHMS, BEST, Config, load
+from trocar.rl.episodes import Episodes, Transitions, play
 from trocar.rl.evaluation import Score, score
 from trocar.rl.export import export
+from trocar.rl.features import BatchInputs, Inputs, Relative
+from trocar.rl.imitation import Cloning, Dagger
+from trocar.rl.learner import Learner
+from trocar.rl.networks import Critics, Policy
 from trocar.rl.runs import Run
-from trocar.rl.training import train
+from trocar.rl.td3 import Td3Demo
+from trocar.rl.training import make_learner, train
 
 __all__ = [
     "ALGORITHMS",
+    "BEST",
+    "BatchInputs",
+    "Cloning",
     "Config",
+    "Critics",
+    "Dagger",
+    "Episodes",
     "GoalDDPG",
+    "Inputs",
+    "Learner",
     "NormalisedDDPG",
     "NormalisedPPO",
+    "Policy",
+    "Relative",
     "Run",
     "Score",
+    "Td3Demo",
+    "Transitions",
     "export",
     "load",
+    "make_learner",
+    "play",
     "score",
     "train",
 ]

@@ -43,7 +43,7 @@ def _parser() -> argparse.ArgumentParser:
     train.add_argument("--seed", type=int, default=0)
     train.add_argument("--out", default="runs", help="folder of runs")
     train.add_argument("--resume", action="store_true", help="go on with a run that is there")
-    train.add_argument("--demos", help="folder of a Minari data set; recorded if not given")
+    train.add_argument("--demos", help="folder of a Minari data set, instead of the expert")
     train.add_argument("--epochs", type=int)
     train.add_argument("--envs", type=int)
     train.add_argument("--server", help="name of a running server; one of its own by default")
@@ -82,7 +82,7 @@ def _parser() -> argparse.ArgumentParser:
 
 def _chosen(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--task", required=True, help="e.g. NeedlePick")
-    parser.add_argument("--algo", required=True, choices=ALGORITHMS)
+    parser.add_argument("--algo", choices=ALGORITHMS, help="the best one known if not given")
     parser.add_argument(
         "--set",
         action="append",
@@ -152,7 +152,7 @@ def _evaluate(given: argparse.Namespace) -> None:
     torch.set_num_threads(1)
     run = Run(given.run_folder)
     config = run.config
-    options = config.task_options | _values(given.option)
+    options = config.options | _values(given.option)
     seed = FINAL_SEED if given.seed is None else given.seed
     policy = run.policy(given.policy)
     count = min(given.envs, given.episodes)

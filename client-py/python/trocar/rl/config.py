@@ -7,33 +7,56 @@ from __future__ import annotations
 
 import json
 import sys
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, field, fields, replace
 from importlib import resources
 from typing import Any
 
 from trocar.errors import InvalidOption, UnknownTask, refuse
 from trocar.registration import NAMESPACE, RATES, TASKS
+from trocar.rl.features import CONTACT, WORDS
 
 if sys.version_info >= (3, 11):
     import tomllib
 else:
     import tomli as tomllib
 
-ALGORITHMS = ("ddpg", "her", "her-demo", "ppo")
-"""DDPG, DDPG with hindsight replay, the same with demonstrations, PPO."""
+BASELINES = ("ddpg", "her", "her-demo", "ppo")
+"""Stable-Baselines3's DDPG, the same with hindsight replay, with demonstrations too; its PPO."""
 
+OWN = ("td3-demo", "td3-her", "bc", "dagger")
+"""TD3 with hindsight goals and demonstrations, the same without demonstrations; behaviour cloning,
+and DAgger."""
+
+ALGORITHMS = (*BASELINES, *OWN)
+
+_TD3 = ("td3-demo", "td3-her")
+_CLONING = ("td3-demo", "bc", "dagger")
 _PARTS = {
-    ("ddpg", "her", "her-demo"): (
-        *("buffer_size", "learning_starts", "updates", "tau", "averaged", "noise"),
+    (*BASELINES, *_TD3): ("learning_rate", "gamma", "train_every"),
+    ("ddpg", "her", "her-demo", *_TD3): (
+        *("buffer_size", "learning_starts", "updates", "tau", "noise"),
     ),
-    ("her", "her-demo"): ("random_actions", "goals", "action_l2"),
-    ("her-demo",): (
-        *("demos", "demo_batch", "policy_weight", "clone_weight", "q_filter"),
-        *("curriculum", "curriculum_success"),
-    ),
+    ("ddpg", "her", "her-demo"): ("averaged",),
+    ("her", "her-demo", *_TD3): ("random_actions",),
+    ("her", "her-demo"): ("goals", "action_l2"),
+    ("her-demo", *_CLONING): ("demos",),
+    ("her-demo", *_TD3): ("policy_weight",),
+    ("her-demo", "td3-demo"): ("demo_batch", "clone_weight", "q_filter"),
+    ("her-demo",): ("curriculum", "curriculum_success"),
+    _TD3: ("hindsight", "warm_up", "target_noise", "policy_every", "averaging", "critic_updates"),
+    ("td3-demo",): ("demo_hindsight",),
+    _CLONING: ("clone_updates", "clone_rate"),
     ("ppo",): ("passes", "gae_lambda", "clip_range"),
 }
 """The algorithms that only some of the fields are for, and these."""
+
+BEST = {
+    **dict.fromkeys(TASKS, "td3-demo"),
+    **dict.fromkeys(("NeedleReach-v0", "EcmReach-v0", "MisOrient-v0", "StaticTrack-v0"), "td3-her"),
+    "ActiveTrack-v0": "ddpg",
+}
+"""The algorithm that is best for each task, as far as is known."""
 
 
 @dataclass(frozen=True)
@@ -51,11 +74,15 @@ class Config:
     """Episodes of an epoch, over all environments."""
     eval_episodes: int = 50
     """Episodes of the evaluation after each epoch, of the same seeds each time."""
+    enough: float = 0.0
+    """Success in an evaluation after which training ends; 0: it ends after its epochs."""
     envs: int = 2
     """Environments that collect into one replay buffer."""
 
     inputs: tuple[str, ...] = ("observation", "desired_goal")
-    """What of the observation the networks see."""
+    """What the networks see: arrays of the observation, or ``relative`` features made from them."""
+    contact: bool = False
+    """Whether they also see what touches the fingers."""
     norm_eps: float = 0.01
     """Least standard deviation by which inputs are divided, in their own units."""
     norm_clip: float = 5.0
@@ -73,14 +100,15 @@ class Config:
     learning_starts: int = 0
     """Steps of uniformly random actions, over all environments, before the first training."""
     updates: int = 40
-    """Gradient steps in a training."""
+    """Gradient steps in a training; ``td3``: of the critics."""
     tau: float = 0.05
-    """Part by which target networks move: after each update (``ddpg``) or training (``her``)."""
+    """Part by which target networks move: after each update, or each training (``her``)."""
     averaged: bool = False
     """Whether the target actor acts: a moving average, as ``tau`` says, of the one that is trained.
     Source: Polyak and Juditsky, Acceleration of Stochastic Approximation by Averaging, 1992."""
     noise: float = 0.2
-    """Standard deviation of the noise on actions while exploring."""
+    """Standard deviation of the noise on actions while exploring; ``td3``: its mean, since that of
+    an episode is drawn between 0 and twice as much."""
     random_actions: float = 0.0
     """Part of actions that are uniformly random while exploring."""
     goals: int = 4
@@ -93,9 +121,10 @@ class Config:
     demo_batch: int = 0
     """How many of a batch are from demonstrations."""
     policy_weight: float = 1.0
-    """Weight of DDPG's loss of the policy, beside that of cloning."""
+    """Weight of the critic's value in the policy's loss, beside that of cloning."""
     clone_weight: float = 0.0
-    """Weight of the sum of squared differences from demonstrated actions."""
+    """Weight of cloning: of the sum of squared differences from demonstrated actions; ``td3-demo``:
+    of the mean absolute difference."""
     q_filter: bool = True
     """Whether to clone only actions that the critic rates above the policy's own."""
 
@@ -106,12 +135,42 @@ class Config:
     """Part of the latest episodes from a level that must succeed, with the noise of exploring,
     before they begin one earlier."""
 
+    hindsight: float = 0.0
+    """Part of transitions that get a goal which their episode reached later."""
+    demo_hindsight: float = 0.0
+    """The same part, of demonstrated transitions."""
+    warm_up: int = 0
+    """Episodes that are played before the policy begins to follow the critics."""
+    target_noise: float = 0.0
+    """Standard deviation of the noise on actions of targets, cut off at twice as much."""
+    policy_every: int = 1
+    """Updates of the critics for each of the policy."""
+    averaging: float = 1.0
+    """Part by which the average of the policy, which is scored, moves with each of its updates."""
+    critic_updates: int = 0
+    """Updates of the critics before the first episode is played."""
+    clone_updates: int = 0
+    """Gradient steps of cloning: before the first epoch, and with DAgger in each."""
+    clone_rate: float = 1e-3
+    """Learning rate of cloning at first; it falls to 0."""
+
     passes: int = 10
     """PPO: passes over what was collected."""
     gae_lambda: float = 0.95
     """PPO: of the advantage's estimate."""
     clip_range: float = 0.2
     """PPO: most that the ratio of probabilities may move."""
+
+    @property
+    def words(self) -> tuple[str, ...]:
+        """All that the networks see."""
+        return (*self.inputs, CONTACT) if self.contact else self.inputs
+
+    @property
+    def options(self) -> dict[str, Any]:
+        """The task's options, with what the networks need to see."""
+        asked = {"observation": ["state", CONTACT]} if self.contact else {}
+        return asked | self.task_options
 
     @property
     def task_id(self) -> str:
@@ -149,17 +208,18 @@ class Config:
         return _checked(replace(self, **_tuples(changes)))
 
 
-def load(task: str, algo: str) -> Config:
+def load(task: str, algo: str | None = None) -> Config:
     """The configuration of a task and algorithm.
 
     Args:
         task: Id with or without namespace and version, e.g. ``NeedlePick``.
-        algo: One of :data:`ALGORITHMS`.
+        algo: One of :data:`ALGORITHMS`; the best one known for the task if ``None``.
 
     Raises:
         ValueError: One of them is unknown, or they do not go together.
     """
     task = task_name(task)
+    algo = algo or BEST[task]
     if algo not in ALGORITHMS:
         raise refuse(InvalidOption, "algo", algo, f"allowed are {list(ALGORITHMS)}")
     text = resources.files(__package__).joinpath(f"configs/{algo}.toml").read_text()
@@ -177,9 +237,13 @@ def task_name(task: str) -> str:
 
 
 def _tuples(values: dict[str, Any]) -> dict[str, Any]:
-    return {
+    """Lists as tuples, and inputs that are a single word as one."""
+    values = {
         name: tuple(value) if isinstance(value, list) else value for name, value in values.items()
     }
+    if isinstance(values.get("inputs"), str):
+        values["inputs"] = (values["inputs"],)
+    return values
 
 
 def _check_field(name: str, value: Any) -> None:
@@ -191,9 +255,13 @@ def _check_field(name: str, value: Any) -> None:
     # Annotations are text here.
     kinds: dict[str, Any] = {"int": int, "float": (int, float), "bool": bool, "dict": dict}
     kind = str(known[name].type).partition("[")[0]
-    wanted = kinds.get(kind, (list, tuple))
+    wanted = kinds.get(kind, (list, tuple, str) if name == "inputs" else (list, tuple))
     if not isinstance(value, wanted) or (isinstance(value, bool) and kind != "bool"):
         raise refuse(InvalidOption, name, value, f"expected {known[name].type}")
+
+
+Check = Callable[[bool, str, str], None]
+"""Refuses a field, saying what is allowed, unless something holds."""
 
 
 def _checked(config: Config) -> Config:
@@ -208,13 +276,23 @@ def _checked(config: Config) -> Config:
         for name in names if config.algo not in algorithms else ():
             allowed = f"{config.algo} does not use it: it is for {list(algorithms)}"
             check(getattr(config, name) == defaults[name], name, allowed)
-    goals = config.task != "ActiveTrack-v0"
-    if not goals:
-        allowed = "the task has no goals: allowed are ['ddpg', 'ppo']"
-        check(config.algo in ("ddpg", "ppo"), "algo", allowed)
-    counts = ("epochs", "epoch_episodes", "eval_episodes", "envs", "batch_size", "train_every")
-    for name in counts:
+    if config.task == "ActiveTrack-v0":
+        allowed = "the task has no goals: allowed are ['ddpg', 'ppo', 'td3-her', 'bc', 'dagger']"
+        check(not config.algo.startswith("her") and config.algo != "td3-demo", "algo", allowed)
+    counts = ("epoch_episodes", "eval_episodes", "envs", "batch_size", "train_every", "policy_every")
+    for name in counts if config.algo == "bc" else (*counts, "epochs"):
         check(getattr(config, name) >= 1, name, "allowed are numbers from 1 on")
+    if config.algo in BASELINES:
+        _check_baseline(config, check)
+    else:
+        _check_own(config, check)
+    allowed = f"allowed are {list(WORDS[:-1])}"
+    check(bool(config.inputs) and {*config.inputs} <= {*WORDS[:-1]}, "inputs", allowed)
+    check(0.0 <= config.enough <= 1.0, "enough", "allowed are numbers from 0 to 1")
+    return config
+
+
+def _check_baseline(config: Config, check: Check) -> None:
     collected = config.envs * config.train_every
     allowed = f"{config.envs} envs of it must divide an epoch of {config.epoch_steps} steps"
     check(config.epoch_steps % collected == 0, "train_every", allowed)
@@ -225,13 +303,30 @@ def _checked(config: Config) -> Config:
         allowed = f"episodes must have ended: allowed are multiples of {config.steps}"
         check(config.train_every % config.steps == 0, "train_every", allowed)
     if config.algo == "her-demo":
-        check(config.demos >= 1, "demos", "allowed are numbers from 1 on")
-        allowed = f"allowed are numbers from 1 to {config.batch_size - 1}"
-        check(1 <= config.demo_batch < config.batch_size, "demo_batch", allowed)
+        _check_demos(config, check)
         allowed = f"allowed are 0, for none, and 2 to {config.steps} levels"
         check(config.curriculum in (0, *range(2, config.steps + 1)), "curriculum", allowed)
         allowed = "allowed are numbers above 0, up to 1"
         check(0.0 < config.curriculum_success <= 1.0, "curriculum_success", allowed)
-    known = {"observation", "achieved_goal", "desired_goal"}
-    check(bool(config.inputs) and {*config.inputs} <= known, "inputs", f"allowed are {known}")
-    return config
+
+
+def _check_demos(config: Config, check: Check) -> None:
+    check(config.demos >= 1, "demos", "allowed are numbers from 1 on")
+    allowed = f"allowed are numbers from 1 to {config.batch_size - 1}"
+    check(1 <= config.demo_batch < config.batch_size, "demo_batch", allowed)
+
+
+def _check_own(config: Config, check: Check) -> None:
+    allowed = f"{config.epoch_episodes} episodes of an epoch must be a multiple of it"
+    check(config.epoch_episodes % config.envs == 0, "envs", allowed)
+    if config.algo in _CLONING:
+        for name in ("demos", "clone_updates"):
+            check(getattr(config, name) >= 1, name, "allowed are numbers from 1 on")
+    if config.algo == "td3-demo":
+        _check_demos(config, check)
+    if config.algo == "td3-her":
+        check(config.learning_starts >= 1, "learning_starts", "allowed are numbers from 1 on")
+    for name in ("hindsight", "demo_hindsight", "averaging", "tau"):
+        check(0.0 <= getattr(config, name) <= 1.0, name, "allowed are numbers from 0 to 1")
+    if config.task == "ActiveTrack-v0":
+        check(config.hindsight == 0.0, "hindsight", "the task has no goals: allowed is 0")

@@ -14,11 +14,11 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from minari import EpisodeData, MinariDataset
 from numpy.typing import NDArray
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvStepReturn
 
 from trocar.rl.config import Config
+from trocar.rl.episodes import Episodes
 from trocar.sb3 import TrocarVecEnv
 from trocar.snapshot import Snapshot
 from trocar.vector import TrocarVectorEnv
@@ -42,7 +42,7 @@ class CurriculumVecEnv(TrocarVecEnv):
         ways: The states of each level; none of level 0.
     """
 
-    def __init__(self, envs: TrocarVectorEnv, demos: MinariDataset, config: Config) -> None:
+    def __init__(self, envs: TrocarVectorEnv, demos: Episodes, config: Config) -> None:
         """Takes over environments, and runs demonstrations of the same task and options again."""
         super().__init__(envs)
         self.level = config.curriculum - 1
@@ -115,17 +115,14 @@ class CurriculumVecEnv(TrocarVecEnv):
         self._random.bit_generator.state = progress["random"]
 
 
-def _ways(envs: TrocarVectorEnv, demos: MinariDataset, levels: int) -> list[list[Snapshot]]:
+def _ways(envs: TrocarVectorEnv, demos: Episodes, levels: int) -> list[list[Snapshot]]:
     """The states of each level; none of level 0."""
     ways: list[list[Snapshot]] = [[] for _ in range(levels)]
-    first = min(WAYS, int(demos.total_episodes))
-    episodes = list(demos.iterate_episodes(range(first)))
-    seeds = demos.storage.get_episode_metadata(range(first))
-    for episode, told in zip(episodes, seeds, strict=True):
-        envs.reset(seed=[int(told["seed"])] * envs.num_envs)
-        length = _length(episode)
+    for episode in range(min(WAYS, len(demos))):
+        envs.reset(seed=[int(demos.seed[episode])] * envs.num_envs)
+        length = _length(demos, episode)
         states = [round(length * level / levels) for level in range(levels)]
-        for step, action in enumerate(episode.actions[:length]):
+        for step, action in enumerate(demos.action[episode, :length]):
             for level in range(1, levels):
                 if states[level] == step:
                     ways[level].append(envs.snapshot([0]))
@@ -134,7 +131,7 @@ def _ways(envs: TrocarVectorEnv, demos: MinariDataset, levels: int) -> list[list
     return ways
 
 
-def _length(episode: EpisodeData) -> int:
+def _length(demos: Episodes, episode: int) -> int:
     """Steps until its goal is reached for good."""
-    failing = np.flatnonzero(~episode.infos["is_success"][1:])
+    failing = np.flatnonzero(~demos.success[episode, : demos.length[episode]])
     return int(failing[-1]) + 1 if failing.size else 1

@@ -1,11 +1,9 @@
-"""Demonstrations as a replay buffer, from a Minari data set."""
+"""Demonstrations as episodes: of the server's expert, or of a Minari data set."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from gymnasium import spaces
@@ -13,51 +11,41 @@ from minari import MinariDataset
 from stable_baselines3 import HerReplayBuffer
 
 import trocar
-from trocar.demos import dataset_path, record
+from trocar.demos import Episode, run
 from trocar.errors import InvalidRequest, refuse
 from trocar.rl.config import Config
+from trocar.rl.episodes import Episodes
 from trocar.sb3 import TrocarVecEnv
+from trocar.vector import TrocarVectorEnv
 
 SEED = 3_000_000
 """Of the first demonstration: far from the seeds of training and evaluation."""
 
-
-def path_for(config: Config, folder: Path) -> Path:
-    """Where the demonstrations of a configuration lie in ``folder``, one place for each options."""
-    return dataset_path(folder, config.task, _name(config))
+AT_A_TIME = 50
+"""Most episodes that the expert runs at a time; it changes none of them."""
 
 
-def made(
-    config: Config,
-    folder: Path,
-    server: str | None,
-    progress: Callable[[int, int], None] | None = None,
-) -> Path:
-    """The demonstrations of a configuration in ``folder``, which are recorded if need be."""
-    recording = record(
-        config.task,
-        episodes=config.demos,
-        out=folder,
-        name=_name(config),
-        seed=SEED,
-        resume=True,
-        server=server,
-        progress=progress,
-        **config.task_options,
-    )
-    return Path(recording.path)
+def expert(config: Config, server: str | None = None) -> Episodes:
+    """The expert's episodes of :data:`SEED` and the seeds after it, but those that fail.
+
+    Raises:
+        ValueError: All of them do.
+    """
+    count = min(AT_A_TIME, config.demos)
+    options = {"autoreset_mode": "disabled", "expert": True, "server": server, **config.options}
+    envs = TrocarVectorEnv(config.task, count, **options)
+    try:
+        shown: list[Episode] = []
+        for first in range(0, config.demos, count):
+            seeds = list(range(SEED + first, SEED + first + count))
+            shown += run(envs, seeds)[: config.demos - first]
+    finally:
+        envs.close()
+    return _succeeded(envs.task_spec, shown)
 
 
-def _name(config: Config) -> str:
-    options = [f"{key}-{value}" for key, value in sorted(config.task_options.items())]
-    words = "_".join(["expert", str(config.demos), *options])
-    return (
-        "".join(letter if letter.isalnum() or letter in "-_" else "_" for letter in words) + "-v0"
-    )
-
-
-def opened(path: Path, config: Config) -> MinariDataset:
-    """The data set in a folder, for a configuration.
+def recorded(path: Path, config: Config, server: str | None = None) -> Episodes:
+    """The episodes of a Minari data set, for a configuration.
 
     Raises:
         ValueError: There is none, or it is of another task, options or version.
@@ -66,21 +54,51 @@ def opened(path: Path, config: Config) -> MinariDataset:
         raise refuse(InvalidRequest, "demos", str(path), "expected the folder of a Minari data set")
     dataset = MinariDataset(path / "data")
     check(dataset, config)
-    return dataset
+    envs = TrocarVectorEnv(config.task, 1, server=server, **config.options)
+    envs.close()
+    numbers = range(int(dataset.total_episodes))
+    told = dataset.storage.get_episode_metadata(numbers)
+    shown = []
+    for episode, metadata in zip(dataset.iterate_episodes(numbers), told, strict=True):
+        seen = episode.observations
+        nothing = np.zeros((len(episode.rewards) + 1, 0), np.float32)
+        arrays = seen if isinstance(seen, dict) else {"observation": seen}
+        shown.append(
+            Episode(
+                seed=int(metadata["seed"]),
+                observation=arrays["observation"],
+                achieved_goal=arrays.get("achieved_goal", nothing),
+                desired_goal=arrays.get("desired_goal", nothing),
+                stage=episode.infos["expert_stage"],
+                action=np.asarray(episode.actions, np.float32),
+                reward=np.asarray(episode.rewards, np.float32),
+                is_success=episode.infos["is_success"][1:],
+                terminated=np.asarray(episode.terminations),
+                truncated=np.asarray(episode.truncations),
+            )
+        )
+    return _succeeded(envs.task_spec, shown)
 
 
-def buffer(dataset: MinariDataset, config: Config, envs: TrocarVecEnv) -> HerReplayBuffer:
-    """A data set as a replay buffer that gives hindsight goals as that of experience does.
+def _succeeded(spec: trocar.TaskSpec, shown: list[Episode]) -> Episodes:
+    good = [episode for episode in shown if episode.succeeded]
+    if not good:
+        raise refuse(InvalidRequest, "demos", len(shown), "expected episodes that succeed")
+    return Episodes.of(spec, good)
+
+
+def buffer(demos: Episodes, config: Config, envs: TrocarVecEnv) -> HerReplayBuffer:
+    """Episodes as a replay buffer that gives hindsight goals as that of experience does.
 
     Args:
-        dataset: The data set.
+        demos: The episodes.
         config: What is trained.
         envs: Environments of the task.
     """
     space = envs.observation_space
     assert isinstance(space, spaces.Dict)
-    demos = HerReplayBuffer(
-        int(dataset.total_steps),
+    filled = HerReplayBuffer(
+        demos.steps,
         space,
         envs.action_space,
         envs,
@@ -89,20 +107,26 @@ def buffer(dataset: MinariDataset, config: Config, envs: TrocarVecEnv) -> HerRep
         n_sampled_goal=config.goals,
         goal_selection_strategy="future",
     )
-    for episode in dataset.iterate_episodes():
-        seen: dict[str, Any] = episode.observations
-        last = len(episode.rewards) - 1
-        for step, action in enumerate(episode.actions):
-            timeout = bool(episode.truncations[step] and not episode.terminations[step])
-            demos.add(
-                {key: rows[step][None] for key, rows in seen.items()},
-                {key: rows[step + 1][None] for key, rows in seen.items()},
-                np.asarray(action, np.float32)[None],
-                np.asarray(episode.rewards[step], np.float32)[None],
-                np.array([step == last]),
-                [{"TimeLimit.truncated": timeout}],
-            )
-    return demos
+    for episode, time in zip(*demos.every_step(), strict=True):
+        now, after = (
+            {
+                "observation": demos.observation[episode, at][None],
+                "achieved_goal": demos.achieved[episode, at][None],
+                "desired_goal": demos.desired[episode][None],
+            }
+            for at in (time, time + 1)
+        )
+        last = time + 1 == demos.length[episode]
+        timeout = bool(last and not demos.terminated[episode, time])
+        filled.add(
+            now,
+            after,
+            demos.action[episode, time][None],
+            demos.reward[episode, time][None],
+            np.array([last]),
+            [{"TimeLimit.truncated": timeout}],
+        )
+    return filled
 
 
 def check(dataset: MinariDataset, config: Config) -> None:
@@ -110,7 +134,7 @@ def check(dataset: MinariDataset, config: Config) -> None:
     recipe = json.loads(dataset.storage.metadata.get("trocar", "{}"))
     wanted = {
         "task": config.task,
-        "options": json.loads(json.dumps(config.task_options)),
+        "options": json.loads(json.dumps(config.options)),
         "version": trocar.__version__,
     }
     for name, value in wanted.items():

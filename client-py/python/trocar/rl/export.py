@@ -15,19 +15,20 @@ from torch import nn
 import trocar
 from trocar.rl.algorithms import AveragedPolicy
 from trocar.rl.config import Config
+from trocar.rl.features import CONTACT, STATE, Inputs
+from trocar.rl.networks import Policy
 from trocar.rl.normalise import Normalised
 
 OPSET = 18
 
 
 class Acting(nn.Module):
-    """The deterministic policy of a model: inputs by name to an action in [-1, 1]."""
+    """The deterministic policy of a model: arrays by name to an action in [-1, 1]."""
 
-    def __init__(self, model: BaseAlgorithm) -> None:
+    def __init__(self, model: BaseAlgorithm | Policy) -> None:
         super().__init__()
-        self.policy: Any = model.policy
-        self.keys = self.extractor.keys
-        self.is_dict = self.extractor.is_dict
+        self.policy: Any = model if isinstance(model, Policy) else model.policy
+        self.inputs: Inputs = self.policy.inputs if isinstance(model, Policy) else self.extractor.inputs
 
     @property
     def actor(self) -> Any:
@@ -37,48 +38,50 @@ class Acting(nn.Module):
 
     @property
     def extractor(self) -> Normalised:
-        """What it sees."""
+        """What a model of Stable-Baselines3 sees."""
         extractor = (self.actor or self.policy).features_extractor
         assert isinstance(extractor, Normalised)
         return extractor
 
-    def forward(self, *inputs: torch.Tensor) -> torch.Tensor:
-        """An action of shape (1, action dim) for inputs of shape (1, …)."""
-        seen: Any = dict(zip(self.keys, inputs, strict=True)) if self.is_dict else inputs[0]
-        features = self.extractor(seen)
+    def forward(self, *arrays: torch.Tensor) -> torch.Tensor:
+        """An action of shape (1, action dim) for arrays of shape (1, …)."""
+        named = dict(zip(self.inputs.keys, arrays, strict=True))
+        if isinstance(self.policy, Policy):
+            action: torch.Tensor = self.policy(self.inputs(named))
+            return action
+        features = self.extractor(named)
         if self.actor is not None:
             action = self.actor.mu(features)
         else:
             latent = self.policy.mlp_extractor.forward_actor(features)
             action = self.policy.action_net(latent)
-        clamped: torch.Tensor = action.clamp(-1.0, 1.0)
-        return clamped
+        return action.clamp(-1.0, 1.0)
 
 
-def export(model: BaseAlgorithm, config: Config, path: str | os.PathLike[str]) -> Path:
+def export(model: BaseAlgorithm | Policy, config: Config, path: str | os.PathLike[str]) -> Path:
     """Writes the deterministic policy of a model as an ONNX file.
 
     Inputs are those of ``observation``, ``achieved_goal`` and ``desired_goal`` that it uses, of
-    shape (1, dimension), float32; the output ``action`` has shape (1, action dim), in [-1, 1]. The
-    file's metadata name the task, its options and the version of Trocar.
+    shape (1, dimension), float32; features are computed inside. The output ``action`` has shape
+    (1, action dim), in [-1, 1]. The file's metadata name the task, its options and the version of
+    Trocar.
 
     Args:
         model: A trained model.
         config: What it was trained with.
         path: The file.
     """
-    model.policy.to("cpu")
-    acting = Acting(model).eval()
-    space = model.observation_space
-    boxes = {key: space[key] if acting.is_dict else space for key in acting.keys}  # type: ignore[index]
-    samples = tuple(torch.zeros(1, *box.shape) for box in boxes.values())  # type: ignore[misc]
+    acting = Acting(model).to("cpu").eval()
+    sizes = acting.inputs.sizes
+    widths = sizes | {STATE: sizes[STATE] + sizes[CONTACT]}
+    samples = tuple(torch.zeros(1, widths[key]) for key in acting.inputs.keys)
     target = Path(path)
     target.parent.mkdir(parents=True, exist_ok=True)
     torch.onnx.export(
         acting,
         samples,
         str(target),
-        input_names=list(boxes),
+        input_names=acting.inputs.keys,
         output_names=["action"],
         opset_version=OPSET,
         dynamo=False,
@@ -86,7 +89,7 @@ def export(model: BaseAlgorithm, config: Config, path: str | os.PathLike[str]) -
     told = onnx.load(str(target))
     metadata = {
         "trocar.task": config.task,
-        "trocar.options": json.dumps(config.task_options),
+        "trocar.options": json.dumps(config.options),
         "trocar.version": trocar.__version__,
     }
     onnx.helper.set_model_props(told, metadata)

@@ -6,7 +6,7 @@ and exported with them.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -15,14 +15,14 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 
-GOALS = ("achieved_goal", "desired_goal")
+from trocar.rl.features import GOALS, RELATIVE, STATE, Inputs
 
 
 class Normalised(BaseFeaturesExtractor):
     """Inputs less their mean, by their standard deviation, clipped (as OpenAI baselines' HER).
 
     Achieved and desired goals have their statistics in common, so that they stay comparable. Before
-    anything was seen, an input's bounds stand for them. Stable-Baselines3 copies what is named
+    anything was seen, an array's bounds stand for them; relative features are about 1 in any case. Stable-Baselines3 copies what is named
     ``running_…`` to target networks.
     """
 
@@ -33,57 +33,60 @@ class Normalised(BaseFeaturesExtractor):
     seen_square: torch.Tensor
 
     def __init__(
-        self, space: spaces.Space[Any], *, inputs: Sequence[str], eps: float, clip: float
+        self, space: spaces.Space[Any], *, inputs: Inputs, eps: float, clip: float
     ) -> None:
         """Of a task's observation space.
 
         Args:
             space: A Box, or a Dict of them.
-            inputs: The keys of a Dict that are inputs.
+            inputs: What is seen of observations.
             eps: Least standard deviation, in the units of each input.
             clip: Largest absolute value of a feature.
         """
-        boxes = dict(space.spaces) if isinstance(space, spaces.Dict) else {"observation": space}
-        self.keys = [key for key in inputs if key in boxes]
-        chosen = [boxes[key] for key in self.keys]
-        super().__init__(space, sum(spaces.flatdim(box) for box in chosen))
-        self.is_dict = isinstance(space, spaces.Dict)
+        super().__init__(space, inputs.size)
+        self.inputs = inputs
         self.eps, self.clip = eps, clip
-        low, high = (
-            np.concatenate([np.asarray(getattr(box, end)).ravel() for box in chosen])
-            for end in ("low", "high")
+        boxes = dict(space.spaces) if isinstance(space, spaces.Dict) else {STATE: space}
+        ends = {
+            key: torch.tensor(np.stack([box.low, box.high]))  # type: ignore[attr-defined]
+            for key, box in boxes.items()
+            if key in inputs.keys
+        }
+        unit = torch.tensor([[-2.0], [2.0]])
+        low, high = torch.cat(
+            [
+                unit.expand(2, inputs.sizes[word]) if word == RELATIVE else inputs.part(word, ends)
+                for word in inputs.words
+            ],
+            1,
         )
-        self.register_buffer("running_mean", torch.as_tensor((low + high) / 2))
-        self.register_buffer("running_std", torch.as_tensor((high - low) / 4).clamp_min(eps))
+        self.register_buffer("running_mean", (low + high) / 2)
+        self.register_buffer("running_std", ((high - low) / 4).clamp_min(eps))
         self.register_buffer("seen_count", torch.zeros(len(low), dtype=torch.float64))
         self.register_buffer("seen_sum", torch.zeros(len(low), dtype=torch.float64))
         self.register_buffer("seen_square", torch.zeros(len(low), dtype=torch.float64))
 
     def forward(self, observations: Any) -> torch.Tensor:
-        """Features of shape (batch, sum of the inputs' dimensions)."""
-        if self.is_dict:
-            values = torch.cat([observations[key] for key in self.keys], dim=1)
-        else:
-            values = observations
-        features = (values - self.running_mean) / self.running_std
+        """Features of shape (batch, numbers of the inputs)."""
+        arrays = observations if isinstance(observations, Mapping) else {STATE: observations}
+        features = (self.inputs(arrays) - self.running_mean) / self.running_std
         return features.clamp(-self.clip, self.clip)
 
     def see(self, observations: Mapping[str, NDArray[Any]] | NDArray[Any]) -> None:
         """Takes observations of shape (rows, …) into account, from the next :meth:`refresh` on."""
-        parts = []
-        for key in self.keys:
-            if not isinstance(observations, Mapping):
-                rows = observations
-            elif key in GOALS:
-                rows = np.concatenate([observations[goal] for goal in GOALS])
-            else:
-                rows = observations[key]
-            rows = rows.astype(np.float64)
-            count = np.full(rows.shape[1], len(rows), np.float64)
-            parts.append((count, rows.sum(axis=0), np.square(rows).sum(axis=0)))
-        totals = (self.seen_count, self.seen_sum, self.seen_square)
-        for total, seen in zip(totals, zip(*parts, strict=True), strict=True):
-            total += torch.as_tensor(np.concatenate(seen))
+        arrays = observations if isinstance(observations, Mapping) else {STATE: observations}
+        seen = {key: torch.as_tensor(arrays[key]) for key in (STATE, *GOALS) if key in arrays}
+        for word, place in zip(self.inputs.words, self._places(), strict=True):
+            both = GOALS if word in GOALS else (word,)
+            rows = torch.cat([self.inputs.part(each, seen) for each in both]).double()
+            self.seen_count[place] += len(rows)
+            self.seen_sum[place] += rows.sum(0)
+            self.seen_square[place] += rows.square().sum(0)
+
+    def _places(self) -> list[slice]:
+        """Where the numbers of each word are."""
+        ends = np.cumsum([self.inputs.sizes[word] for word in self.inputs.words]).tolist()
+        return [slice(start, end) for start, end in zip([0, *ends[:-1]], ends, strict=True)]
 
     def refresh(self) -> None:
         """Makes features relative to all that was seen."""

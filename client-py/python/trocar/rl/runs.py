@@ -12,35 +12,20 @@ from __future__ import annotations
 
 import csv
 import io
+import json
 import os
-import pickle
-import random
 import shutil
-from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
 
-import numpy as np
-import torch
-from stable_baselines3 import HerReplayBuffer
 from stable_baselines3.common.base_class import BaseAlgorithm
-from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 
 import trocar
 from trocar.errors import InvalidRequest, refuse
-from trocar.rl.algorithms import GoalDDPG, NormalisedDDPG, NormalisedPPO
-from trocar.rl.config import Config
-from trocar.rl.curriculum import CurriculumVecEnv
-from trocar.sb3 import TrocarVecEnv
-
-CLASSES: dict[str, type[BaseAlgorithm]] = {
-    "ddpg": NormalisedDDPG,
-    "her": GoalDDPG,
-    "her-demo": GoalDDPG,
-    "ppo": NormalisedPPO,
-}
-"""What trains each algorithm."""
+from trocar.rl.baselines import load_policy
+from trocar.rl.config import OWN, Config
+from trocar.rl.learner import Learner, Row
+from trocar.rl.networks import Policy
 
 COLUMNS = (
     "epoch",
@@ -60,7 +45,8 @@ COLUMNS = (
     "trainer_cpu_s",
     "server_cpu_s",
 )
-"""Of ``curve.csv``; losses are means over the epoch's last training, times are since the start."""
+"""Of ``curve.csv``; losses are means over the epoch, or its last training
+(Stable-Baselines3); times are since the start."""
 
 
 @dataclass(frozen=True)
@@ -101,7 +87,7 @@ class Run:
                 allowed = f"the run in {self.path} has {there[name]!r}"
                 raise refuse(InvalidRequest, name, value, allowed)
 
-    def rows(self) -> list[dict[str, float]]:
+    def rows(self) -> list[Row]:
         """The curve: a row for each epoch, numbers by :data:`COLUMNS`."""
         path = self.path / "curve.csv"
         if not path.exists():
@@ -112,7 +98,7 @@ class Run:
                 for row in csv.DictReader(file)
             ]
 
-    def write_rows(self, rows: list[dict[str, float]]) -> None:
+    def write_rows(self, rows: list[Row]) -> None:
         """Writes the curve."""
         text = io.StringIO(newline="")
         writer = csv.DictWriter(text, COLUMNS, restval="", lineterminator="\n")
@@ -120,7 +106,7 @@ class Run:
         writer.writerows(rows)
         _replace(self.path / "curve.csv", text.getvalue().encode())
 
-    def policy(self, which: str = "best") -> BaseAlgorithm:
+    def policy(self, which: str = "best") -> BaseAlgorithm | Policy:
         """The policy that was ``best`` in evaluations, or the ``last``; it cannot be trained on.
 
         Raises:
@@ -129,13 +115,8 @@ class Run:
         path = self.path / f"{which}.zip"
         if which not in ("best", "last") or not path.is_file():
             raise refuse(InvalidRequest, "policy", which, f"expected best or last in {self.path}")
-        # It gets no experience, and so needs neither memory nor environments for it.
-        without: dict[str, Any] = {
-            "buffer_size": 1,
-            "replay_buffer_class": None,
-            "replay_buffer_kwargs": {},
-        }
-        return CLASSES[self.config.algo].load(path, device="cpu", custom_objects=without)
+        algo = self.config.algo
+        return Policy.load(path) if algo in OWN else load_policy(algo, path)
 
     @property
     def has_checkpoint(self) -> bool:
@@ -148,29 +129,14 @@ class Run:
         there, before = self.path / "checkpoint", self.path / "checkpoint.before"
         return there if there.is_dir() or not before.is_dir() else before
 
-    def save(self, model: BaseAlgorithm, envs: TrocarVecEnv, rows: list[dict[str, float]]) -> None:
+    def save(self, learner: Learner, rows: list[Row]) -> None:
         """Writes a checkpoint: networks, optimisers, experience, randomness, environments."""
         beside = self.path / "checkpoint.new"
         shutil.rmtree(beside, ignore_errors=True)
         beside.mkdir()
-        model.save(beside / "model.zip")
-        if isinstance(model, OffPolicyAlgorithm):
-            with (beside / "replay.pkl").open("wb") as file:
-                pickle.dump(model.replay_buffer, file, protocol=5)
-        state = {
-            "rows": rows,
-            "last_obs": model._last_obs,
-            "last_episode_starts": model._last_episode_starts,
-            "envs": envs.envs.snapshot().to_bytes(),
-            "curriculum": envs.progress() if isinstance(envs, CurriculumVecEnv) else None,
-            "version": trocar.__version__,
-            "python": random.getstate(),
-            "numpy": np.random.get_state(),
-            "torch": torch.get_rng_state(),
-            "actions": model.action_space.np_random,
-        }
-        with (beside / "state.pkl").open("wb") as file:
-            pickle.dump(state, file, protocol=5)
+        learner.save(beside)
+        told = {"version": trocar.__version__, "rows": rows}
+        (beside / "rows.json").write_text(json.dumps(told))
         there, before = self.path / "checkpoint", self.path / "checkpoint.before"
         if there.is_dir():
             shutil.rmtree(before, ignore_errors=True)
@@ -178,35 +144,19 @@ class Run:
         beside.rename(there)
         shutil.rmtree(before, ignore_errors=True)
 
-    def restore(self, envs: TrocarVecEnv) -> tuple[BaseAlgorithm, list[dict[str, float]]]:
-        """The model of the checkpoint, which goes on in ``envs``, and the curve up to there.
+    def restore(self, learner: Learner) -> list[Row]:
+        """Lets a learner go on from the checkpoint; the curve until there.
 
         Raises:
             ValueError: It is of another version.
         """
-        folder = self._checkpoint
-        with (folder / "state.pkl").open("rb") as file:
-            state: Mapping[str, Any] = pickle.load(file)
-        if state["version"] != trocar.__version__:
-            allowed = f"a checkpoint of {state['version']} goes on in that version only"
+        told = json.loads((self._checkpoint / "rows.json").read_text())
+        if told["version"] != trocar.__version__:
+            allowed = f"a checkpoint of {told['version']} goes on in that version only"
             raise refuse(InvalidRequest, "version", trocar.__version__, allowed)
-        model = CLASSES[self.config.algo].load(folder / "model.zip", env=envs, device="cpu")
-        if isinstance(model, OffPolicyAlgorithm):
-            with (folder / "replay.pkl").open("rb") as file:
-                model.replay_buffer = pickle.load(file)
-            if isinstance(model.replay_buffer, HerReplayBuffer):
-                model.replay_buffer.set_env(envs)
-        envs.reset()
-        envs.envs.restore(trocar.Snapshot.from_bytes(state["envs"]))
-        if isinstance(envs, CurriculumVecEnv):
-            envs.go_on(state["curriculum"])
-        model._last_obs = state["last_obs"]
-        model._last_episode_starts = state["last_episode_starts"]
-        model.action_space._np_random = state["actions"]
-        random.setstate(state["python"])
-        np.random.set_state(state["numpy"])
-        torch.set_rng_state(state["torch"])
-        return model, list(state["rows"])
+        learner.restore(self._checkpoint)
+        rows: list[Row] = told["rows"]
+        return rows
 
 
 def _replace(path: Path, content: bytes) -> None:

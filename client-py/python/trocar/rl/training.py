@@ -8,32 +8,26 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import torch
-from stable_baselines3 import HerReplayBuffer
-from stable_baselines3.common.base_class import BaseAlgorithm
-from stable_baselines3.common.logger import Logger
-from stable_baselines3.common.noise import NormalActionNoise
 from torch.utils.tensorboard import SummaryWriter
 
 import trocar
 from trocar._trocar import Client
 from trocar.rl import demonstrations
-from trocar.rl.algorithms import AveragedPolicy, GoalDDPG, NormalisedDDPG, NormalisedPPO
-from trocar.rl.config import Config
-from trocar.rl.curriculum import CurriculumVecEnv
+from trocar.rl.baselines import Baseline
+from trocar.rl.config import BASELINES, Config
 from trocar.rl.curves import plot_run
+from trocar.rl.episodes import Episodes
 from trocar.rl.evaluation import SEED, Score, score
-from trocar.rl.normalise import Normalised
+from trocar.rl.imitation import Cloning, Dagger
+from trocar.rl.learner import Learner, Row
 from trocar.rl.runs import Run
+from trocar.rl.td3 import Td3Demo
 from trocar.sb3 import TrocarVecEnv, make_vec
 
-SEEDS_APART = 10_000
-"""Between the seeds of the environments of two runs: their episodes are not the same."""
-
-Row = dict[str, float]
+Say = Callable[[str], None]
 
 
 def train(
@@ -45,7 +39,7 @@ def train(
     demos: str | os.PathLike[str] | None = None,
     server: str | None = None,
     threads: int = 1,
-    say: Callable[[str], None] = lambda line: print(line, file=sys.stderr, flush=True),
+    say: Say = lambda line: print(line, file=sys.stderr, flush=True),
 ) -> Run:
     """Trains, and writes everything to ``out/TASK/ALGO/seed-SEED``.
 
@@ -56,7 +50,7 @@ def train(
         seed: Of networks, exploration and environments.
         out: Folder of runs.
         resume: Whether to go on with a run that is there already.
-        demos: Folder of a Minari data set to learn from; recorded in ``out/demos`` if ``None``.
+        demos: Folder of a Minari data set to learn from; the server's expert if ``None``.
         server: Name of the server; one of its own if ``None``.
         threads: Of PyTorch; small networks need no more than one.
         say: Takes lines for people.
@@ -68,134 +62,69 @@ def train(
     run.begin(config, resume)
     torch.set_num_threads(threads)
     with _served(server) as (name, server_pid):
+        clock = _Clock(server_pid)
         shown = None
-        if config.demos:
-            folder = demos or demonstrations.made(config, Path(out) / "demos", name)
-            shown = demonstrations.opened(Path(folder), config)
-        envs = make_vec(config.task_id, config.envs, server=name, **config.task_options)
-        evaluation = make_vec(
-            config.task_id, config.eval_episodes, server=name, **config.task_options
-        )
+        if config.demos and demos is not None:
+            shown = demonstrations.recorded(Path(demos), config, name)
+        elif config.demos:
+            shown = demonstrations.expert(config, name)
+        learner = make_learner(config, shown, seed, server=name)
+        evaluation = make_vec(config.task_id, config.eval_episodes, server=name, **config.options)
         try:
-            if shown is not None and config.curriculum:
-                envs = CurriculumVecEnv(envs.envs, shown, config)
-            if run.has_checkpoint:
-                model, rows = run.restore(envs)
-            else:
-                model, rows = make_model(config, envs, seed), []
-            model.set_logger(Logger(None, []))
-            if isinstance(model, GoalDDPG) and shown is not None:
-                _learn_from(model, demonstrations.buffer(shown, config, envs), not rows)
-            _epochs(run, config, model, envs, evaluation, rows, server_pid, say)
+            _epochs(run, learner, evaluation, clock, say)
         finally:
-            envs.close()
+            learner.close()
             evaluation.close()
     plot_run(run, run.path / "curve.png")
     return run
 
 
-def make_model(config: Config, envs: TrocarVecEnv, seed: int) -> BaseAlgorithm:
-    """The untrained model of a configuration."""
-    extractor = {"inputs": config.inputs, "eps": config.norm_eps, "clip": config.norm_clip}
-    policy_kwargs: dict[str, Any] = {
-        "features_extractor_class": Normalised,
-        "features_extractor_kwargs": extractor,
-        "net_arch": list(config.hidden),
-        "share_features_extractor": True,
-    }
-    has_goals = envs.envs.task_spec.goal is not None
-    latest = "MultiInputPolicy" if has_goals else "MlpPolicy"
-    common: dict[str, Any] = {
-        "policy": AveragedPolicy if config.averaged else latest,
-        "env": envs,
-        "learning_rate": config.learning_rate,
-        "gamma": config.gamma,
-        "batch_size": config.batch_size,
-        "policy_kwargs": policy_kwargs,
-        "seed": seed,
-        "device": "cpu",
-    }
-    if config.algo == "ppo":
-        model: BaseAlgorithm = NormalisedPPO(
-            n_steps=config.train_every,
-            n_epochs=config.passes,
-            gae_lambda=config.gae_lambda,
-            clip_range=config.clip_range,
-            **common,
-        )
-    else:
-        actions = len(envs.envs.task_spec.action)
-        common |= {
-            # No more than the run has; Stable-Baselines3 takes memory for all of it.
-            "buffer_size": min(config.buffer_size, config.epochs * config.epoch_steps),
-            "learning_starts": config.learning_starts,
-            "train_freq": config.train_every,
-            "gradient_steps": config.updates,
-            "tau": config.tau,
-            "action_noise": NormalActionNoise(np.zeros(actions), np.full(actions, config.noise)),
-        }
-        if config.algo == "ddpg":
-            model = NormalisedDDPG(**common)
-        else:
-            model = GoalDDPG(
-                replay_buffer_class=HerReplayBuffer,
-                replay_buffer_kwargs={
-                    "n_sampled_goal": config.goals,
-                    "goal_selection_strategy": "future",
-                },
-                random_actions=config.random_actions,
-                action_l2=config.action_l2,
-                demo_batch=config.demo_batch,
-                policy_weight=config.policy_weight,
-                clone_weight=config.clone_weight,
-                q_filter=config.q_filter,
-                **common,
-            )
-    envs.seed(SEEDS_APART * (seed + 1))
-    return model
+def make_learner(
+    config: Config, demos: Episodes | None, seed: int, *, server: str | None = None
+) -> Learner:
+    """The untrained learner of a configuration.
+
+    Args:
+        config: What is trained.
+        demos: Demonstrations, where the algorithm learns from any.
+        seed: Of networks, exploration and environments.
+        server: Name of the server.
+    """
+    if config.algo in BASELINES:
+        return Baseline(config, demos, seed, server=server)
+    if config.algo.startswith("td3"):
+        return Td3Demo(config, demos, seed, server=server)
+    assert demos is not None
+    cloning = Dagger if config.algo == "dagger" else Cloning
+    return cloning(config, demos, seed, server=server)
 
 
-def _learn_from(model: GoalDDPG, demos: HerReplayBuffer, is_new: bool) -> None:
-    """Gives a model its demonstrations; in one that goes on, they were counted already."""
-    if is_new:
-        model.learn_from(demos)
-    else:
-        model.demos = demos
-
-
-def _epochs(
-    run: Run,
-    config: Config,
-    model: BaseAlgorithm,
-    envs: TrocarVecEnv,
-    evaluation: TrocarVecEnv,
-    rows: list[Row],
-    server_pid: int,
-    say: Callable[[str], None],
-) -> None:
+def _epochs(run: Run, learner: Learner, evaluation: TrocarVecEnv, clock: _Clock, say: Say) -> None:
     """Trains the epochs that are left; each ends with an evaluation and a checkpoint."""
-    clock = _Clock(server_pid, rows[-1] if rows else {})
+    config = run.config
+    rows = run.restore(learner) if run.has_checkpoint else []
+    clock.go_on(rows)
     best = max((_worth(row) for row in rows), default=(-1.0, -np.inf))
-    writer = SummaryWriter(str(run.path / "tensorboard"), purge_step=model.num_timesteps + 1)
-    if not rows:
-        rows.append(_row(0, config, model, score(model, evaluation, SEED), clock))
-        _note(run, rows, writer)
-    for epoch in range(len(rows), config.epochs + 1):
-        # What it logs is read after each epoch instead.
-        model.learn(config.epoch_steps, reset_num_timesteps=False, log_interval=sys.maxsize)
-        row = _row(epoch, config, model, score(model, evaluation, SEED), clock)
+    purge_step = int(rows[-1]["steps"]) + 1 if rows else 0
+    writer = SummaryWriter(str(run.path / "tensorboard"), purge_step=purge_step)
+    while len(rows) <= config.epochs and not _is_enough(config, rows):
+        epoch = len(rows)
+        live = _Live(config, epoch, clock)
+        (learner.learn if epoch else learner.begin)(live)
+        result = score(learner.acting, evaluation, SEED)
+        row = _row(epoch, config, result, learner, clock)
         rows.append(row)
-        model.save(run.path / "last.zip")
+        learner.save_policy(run.path / "last.zip")
         if _worth(row) >= best:
             best = _worth(row)
-            model.save(run.path / "best.zip")
-        run.save(model, envs, rows)
+            learner.save_policy(run.path / "best.zip")
+        if epoch:
+            run.save(learner, rows)
         _note(run, rows, writer)
-        left = (clock.wall() / epoch) * (config.epochs - epoch)
+        live.clear()
         say(
-            f"{config.task} {config.algo}  epoch {epoch:3} of {config.epochs}  "
-            f"success {row['success']:6.1%}  return {row['mean_return']:8.2f}  "
-            f"{clock.wall():6.0f} s, {left:6.0f} s left"
+            f"{live.where}  success {row['success']:6.1%}  return {row['mean_return']:8.2f}  "
+            f"{clock.wall():6.0f} s, {live.left(1.0):6.0f} s left"
         )
     writer.close()
 
@@ -205,28 +134,21 @@ def _worth(row: Row) -> tuple[float, float]:
     return row["success"], row["mean_return"]
 
 
-def _row(epoch: int, config: Config, model: BaseAlgorithm, result: Score, clock: _Clock) -> Row:
-    told: dict[str, Any] = model.logger.name_to_value
-    # PPO has other names for the same.
-    losses = {"actor_loss": "policy_gradient_loss", "critic_loss": "value_loss"}
-    row: Row = {
+def _is_enough(config: Config, rows: list[Row]) -> bool:
+    return bool(rows) and 0.0 < config.enough <= rows[-1]["success"]
+
+
+def _row(epoch: int, config: Config, result: Score, learner: Learner, clock: _Clock) -> Row:
+    return {
         "epoch": epoch,
         "episodes": epoch * config.epoch_episodes,
-        "steps": model.num_timesteps,
-        "updates": model._n_updates,
         "success": result.success_rate,
         "success_ever": result.successes_ever / result.episodes,
         "mean_return": result.mean_return,
         "mean_length": result.mean_length,
+        **learner.row(),
         **clock.times(),
     }
-    if isinstance(model.env, CurriculumVecEnv):
-        row["level"] = model.env.level
-    for name in ("actor_loss", "critic_loss", "clone_loss", "passed"):
-        for source in (name, losses.get(name)):
-            if f"train/{source}" in told:
-                row[name] = float(told[f"train/{source}"])
-    return row
 
 
 def _note(run: Run, rows: list[Row], writer: SummaryWriter) -> None:
@@ -238,13 +160,43 @@ def _note(run: Run, rows: list[Row], writer: SummaryWriter) -> None:
     writer.flush()
 
 
+class _Live:
+    """A line on the terminal that says how far an epoch is, if anybody sees it."""
+
+    def __init__(self, config: Config, epoch: int, clock: _Clock) -> None:
+        self.where = f"{config.task} {config.algo}  epoch {epoch:3} of {config.epochs}"
+        self._epoch, self._epochs, self._clock = epoch, config.epochs, clock
+        self._begun = clock.wall()
+        self._seen = sys.stderr.isatty()
+
+    def __call__(self, done: float) -> None:
+        if self._seen:
+            told = f"\r{self.where}  {done:4.0%}  {self._clock.wall():6.0f} s, "
+            print(f"{told}{self.left(done):6.0f} s left", end="", file=sys.stderr, flush=True)
+
+    def left(self, done: float) -> float:
+        """Seconds until the run ends if later epochs take as long as this one; at first unknown."""
+        later = self._epochs - self._epoch
+        took = self._clock.wall() - self._begun
+        return took * (1 - done + later) / done if done and self._epoch else 0.0
+
+    def clear(self) -> None:
+        """Removes it."""
+        if self._seen:
+            print("\r\033[K", end="", file=sys.stderr, flush=True)
+
+
 class _Clock:
     """Times of a run, with those that it had taken before it was interrupted."""
 
-    def __init__(self, server_pid: int, before: Row) -> None:
+    def __init__(self, server_pid: int) -> None:
         self._server_pid = server_pid
-        now = self._now()
-        self._start = {name: now[name] - before.get(name, 0.0) for name in now}
+        self._start = self._now()
+
+    def go_on(self, rows: list[Row]) -> None:
+        """Adds the times of a curve that goes on."""
+        for name in self._start if rows else ():
+            self._start[name] -= rows[-1][name]
 
     def times(self) -> Row:
         """Seconds since the start: of the wall's clock, and of processors."""

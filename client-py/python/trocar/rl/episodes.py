@@ -1,0 +1,221 @@
+"""Whole episodes as arrays, and transitions drawn from them with goals that were reached later."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+import trocar
+from trocar.demos import Episode
+from trocar.vector import TrocarVectorEnv
+
+Act = Callable[[NDArray[Any], NDArray[Any], NDArray[Any], dict[str, Any]], NDArray[np.float32]]
+"""Actions for rows of states, achieved goals, desired goals, and the infos that came with them."""
+
+
+class Transitions(NamedTuple):
+    """Steps of some episodes; arrays of shape (rows, …)."""
+
+    observation: NDArray[np.float32]
+    achieved: NDArray[np.float32]
+    desired: NDArray[np.float32]
+    action: NDArray[np.float32]
+    reward: NDArray[np.float32]
+    next_observation: NDArray[np.float32]
+    next_achieved: NDArray[np.float32]
+    goes_on: NDArray[np.float32]
+    """0 where the step ended in a terminal state; a time limit is none."""
+
+    @staticmethod
+    def joined(parts: Sequence[Transitions]) -> Transitions:
+        """The rows of all parts."""
+        return Transitions(*map(np.concatenate, zip(*parts, strict=True)))
+
+
+class Episodes:
+    """The latest episodes of a task: arrays of shape (episodes, steps, …).
+
+    Attributes:
+        observation: Of each state, so one more than there are steps; so is ``achieved``.
+        desired: The goal of each episode.
+        label: What the expert would have done; the action itself where no expert was asked.
+        length: Steps of each episode; what is beyond has no meaning.
+    """
+
+    NAMES = (
+        *("observation", "achieved", "desired", "action", "label", "reward", "success"),
+        *("terminated", "length", "seed"),
+    )
+
+    def __init__(self, spec: trocar.TaskSpec, capacity: int) -> None:
+        """Has room for ``capacity`` episodes; later ones replace the oldest."""
+        steps, goal = spec.max_steps, len(spec.goal or [])
+
+        def zeros(*shape: int, dtype: Any = np.float32) -> NDArray[Any]:
+            return np.zeros((capacity, *shape), dtype)
+
+        self.observation = zeros(steps + 1, len(spec.observation))
+        self.achieved = zeros(steps + 1, goal)
+        self.desired = zeros(goal)
+        self.action, self.label = zeros(steps, len(spec.action)), zeros(steps, len(spec.action))
+        self.reward, self.success = zeros(steps), zeros(steps, dtype=np.bool_)
+        self.terminated = zeros(steps, dtype=np.bool_)
+        self.length, self.seed = zeros(dtype=np.int64), zeros(dtype=np.int64)
+        self.capacity = capacity
+        self.count = 0
+        """Of all episodes that were ever added."""
+        self._ends = np.zeros(0, np.int64)
+
+    def __len__(self) -> int:
+        """Number of episodes."""
+        return min(self.count, self.capacity)
+
+    @property
+    def steps(self) -> int:
+        """Of all episodes together."""
+        return int(self.length[: len(self)].sum())
+
+    @property
+    def succeeded(self) -> NDArray[np.bool_]:
+        """Of each episode: whether it ended in success; without goals, whether it lasted."""
+        rows = np.arange(len(self))
+        last = self.length[rows] - 1
+        return self.success[rows, last] if self.desired.shape[1] else ~self.terminated[rows, last]
+
+    def add(self, others: Episodes, chosen: NDArray[np.bool_] | None = None) -> None:
+        """Takes other episodes in; of those only the chosen ones, if there is a choice."""
+        rows = np.flatnonzero(np.ones(len(others), np.bool_) if chosen is None else chosen)
+        rows = rows[-self.capacity :]
+        places = (self.count + np.arange(len(rows))) % self.capacity
+        for name in self.NAMES:
+            getattr(self, name)[places] = getattr(others, name)[rows]
+        self.count += len(rows)
+        self._ends = self.length[: len(self)].cumsum()
+
+    @classmethod
+    def of(cls, spec: trocar.TaskSpec, shown: Sequence[Episode]) -> Episodes:
+        """Recorded episodes of an expert."""
+        made = cls(spec, len(shown))
+        for row, episode in enumerate(shown):
+            length = len(episode)
+            made.observation[row, : length + 1] = episode.observation
+            made.achieved[row, : length + 1] = episode.achieved_goal
+            made.desired[row] = episode.desired_goal[0]
+            made.action[row, :length] = made.label[row, :length] = episode.action
+            made.reward[row, :length] = episode.reward
+            made.success[row, :length] = episode.is_success
+            made.terminated[row, :length] = episode.terminated
+            made.length[row], made.seed[row] = length, episode.seed
+        made.count = len(shown)
+        made._ends = made.length.cumsum()
+        return made
+
+    def every_step(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """The episode and the time of every step."""
+        episode = np.repeat(np.arange(len(self)), self.length[: len(self)])
+        begins = np.concatenate(([0], self._ends[:-1]))
+        return episode, np.arange(self.steps) - begins[episode]
+
+    def sample(
+        self, rows: int, hindsight: float, goals: Any, random: np.random.Generator
+    ) -> Transitions:
+        """Draws steps, each as likely as any other.
+
+        Args:
+            rows: How many.
+            hindsight: The part of them that gets a goal which the episode reached later (HER,
+                "future": Andrychowicz et al., Hindsight Experience Replay, 2017).
+            goals: Environments of the task, which say what rewards are.
+            random: What decides.
+        """
+        step = random.integers(self._ends[-1], size=rows)
+        episode = np.searchsorted(self._ends, step, side="right")
+        time = step - self._ends[episode] + self.length[episode]
+        desired = self.desired[episode]
+        reward = self.reward[episode, time]
+        terminated = self.terminated[episode, time]
+        reached = self.achieved[episode, time + 1]
+        (changed,) = np.nonzero(random.random(rows) < hindsight)
+        if changed.size:
+            left = self.length[episode[changed]] - time[changed]
+            later = time[changed] + 1 + random.integers(left)
+            desired[changed] = self.achieved[episode[changed], later]
+            both = reached[changed], desired[changed]
+            reward[changed] = goals.compute_reward(*both)
+            terminated[changed] = goals.compute_terminated(*both)
+        return Transitions(
+            self.observation[episode, time],
+            self.achieved[episode, time],
+            desired,
+            self.action[episode, time],
+            reward,
+            self.observation[episode, time + 1],
+            reached,
+            1 - terminated.astype(np.float32),
+        )
+
+    def state(self) -> dict[str, Any]:
+        """All of it, for a checkpoint."""
+        rows = len(self)
+        return {"count": self.count} | {name: getattr(self, name)[:rows] for name in self.NAMES}
+
+    def go_on(self, state: dict[str, Any]) -> None:
+        """Has what :meth:`state` gave."""
+        self.count = state["count"]
+        for name in self.NAMES:
+            getattr(self, name)[: len(self)] = state[name]
+        self._ends = self.length[: len(self)].cumsum()
+
+
+def play(
+    envs: TrocarVectorEnv,
+    act: Act,
+    seeds: Sequence[int],
+    *,
+    meanwhile: Callable[[], None] = lambda: None,
+) -> Episodes:
+    """Plays an episode in each environment.
+
+    Args:
+        envs: Environments with autoreset ``disabled``; made with ``expert=True``, they also say
+            what the expert would have done in each state.
+        act: Who acts.
+        seeds: Of the episodes, one for each environment.
+        meanwhile: Done once for each step, while the server simulates it.
+    """
+    played = Episodes(envs.task_spec, envs.num_envs)
+    played.seed[:], played.count = seeds, envs.num_envs
+    seen, infos = envs.reset(seed=list(seeds))
+    running = np.arange(envs.num_envs)
+    observation, achieved, desired = _arrays(seen)
+    played.observation[:, 0], played.achieved[:, 0], played.desired[:] = _arrays(seen)
+    while running.size:
+        time = played.length[running[0]]
+        action = act(observation, achieved, desired, infos)
+        played.action[running, time] = action
+        played.label[running, time] = infos.get("expert_action", action)
+        envs.send(action, running)
+        meanwhile()
+        seen, reward, terminated, truncated, infos = envs.recv()
+        observation, achieved, desired = _arrays(seen)
+        played.observation[running, time + 1], played.achieved[running, time + 1] = observation, achieved
+        played.reward[running, time], played.success[running, time] = reward, infos["is_success"]
+        played.terminated[running, time] = terminated
+        played.length[running] += 1
+        goes_on = ~(terminated | truncated)
+        running = running[goes_on]
+        observation, achieved, desired = observation[goes_on], achieved[goes_on], desired[goes_on]
+        infos = {key: rows[goes_on] for key, rows in infos.items()}
+    played._ends = played.length.cumsum()
+    return played
+
+
+def _arrays(seen: Any) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
+    """State, achieved and desired goal; goals without numbers where a task has none."""
+    if isinstance(seen, dict):
+        return seen["observation"], seen["achieved_goal"], seen["desired_goal"]
+    nothing = np.zeros((len(seen), 0), np.float32)
+    return seen, nothing, nothing

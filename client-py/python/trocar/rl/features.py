@@ -1,0 +1,197 @@
+"""What networks see: an observation as it is, or what is relative in it.
+
+:func:`trocar.features` computes relative features of whole batches. :class:`Inputs` computes the same as a
+part of a network, so that an exported policy has its features inside.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import nn
+
+import trocar
+from trocar.errors import InvalidOption, refuse
+
+STATE = "observation"
+GOALS = ("achieved_goal", "desired_goal")
+RELATIVE = "relative"
+CONTACT = "contact"
+WORDS = (STATE, *GOALS, RELATIVE, CONTACT)
+"""What networks can see. ``relative`` is made from state and goals, ``contact`` is what follows the
+state where the option ``observation`` has that word."""
+
+LARGEST = 3.0
+"""Where offsets are clipped that are not squashed."""
+
+Part = Mapping[str, Any]
+
+
+class Relative(nn.Module):
+    """Features of rows x by a program, which :attr:`TaskSpec.relative_program` describes.
+
+    A row x is the state, the achieved and the desired goal. Parts of the same kind are computed
+    together, and then put into the order of the program.
+    """
+
+    end: torch.Tensor
+    start: torch.Tensor
+    fixed: torch.Tensor
+    scale: torch.Tensor
+    angles: torch.Tensor
+    turned: torch.Tensor
+    seen_from: torch.Tensor
+    chosen: torch.Tensor
+    order: torch.Tensor
+
+    def __init__(self, program: Sequence[Part], width: int) -> None:
+        """Of a program for rows of ``width`` numbers."""
+        super().__init__()
+        kinds: dict[str, list[Part]] = {"clip": [], "tanh": [], "rotation": [], "axis": []}
+        places: dict[str, list[int]] = {kind: [] for kind in kinds}
+        self.size = 0
+        for part in program:
+            kind = part.get("bound", part["kind"])
+            count = {"rotation": 6, "axis": 5}.get(kind) or int(part["count"])
+            kinds[kind].append(part)
+            places[kind] += range(self.size, self.size + count)
+            self.size += count
+        self._clipped = len(places["clip"])
+        self._rotations = len(kinds["rotation"])
+        # Whatever is missing (an origin, a frame) is a column of zeros after those of x.
+        steps = [(part, step) for part in kinds["clip"] + kinds["tanh"] for step in range(part["count"])]
+        self._index("end", [part["to"] + step for part, step in steps])
+        origins = [(part["from"], step) for part, step in steps]
+        self._index("start", [width if origin is None else origin + step for origin, step in origins])
+        fixed = [0.0 if part["fixed"] is None else part["fixed"][step] for part, step in steps]
+        self.register_buffer("fixed", torch.tensor(fixed), persistent=False)
+        scale = torch.tensor([float(part["scale"]) for part, _ in steps])
+        self.register_buffer("scale", scale, persistent=False)
+        pairs = [(part["of"], part["seen_from"]) for part in kinds["rotation"] + kinds["axis"]]
+        frames = list(dict.fromkeys(frame for pair in pairs for frame in pair))
+        columns = [[width] * 3 if frame is None else [frame + k for k in range(3)] for frame in frames]
+        self._index("angles", sum(columns, []))
+        self._index("turned", [frames.index(turned) for turned, _ in pairs])
+        self._index("seen_from", [frames.index(seen_from) for _, seen_from in pairs])
+        self._index("chosen", [3 * row + part["axis"] for row, part in enumerate(kinds["axis"])])
+        self._index("order", np.argsort(sum(places.values(), [])).tolist())
+
+    def _index(self, name: str, numbers: Sequence[int]) -> None:
+        self.register_buffer(name, torch.tensor(numbers, dtype=torch.int64), persistent=False)
+
+    def forward(self, x: torch.Tensor) -> torch.Tensor:
+        """Features of shape (rows, :attr:`size`)."""
+        x = torch.cat([x, x[:, :1] * 0.0], 1)
+        offsets = x.index_select(1, self.end) - x.index_select(1, self.start) - self.fixed
+        offsets = offsets / self.scale
+        clipped = offsets[:, : self._clipped].clamp(-LARGEST, LARGEST)
+        parts = [clipped, offsets[:, self._clipped :].tanh()]
+        if len(self.turned):
+            parts += self._turns(x)
+        return torch.cat(parts, 1).index_select(1, self.order)
+
+    def _turns(self, x: torch.Tensor) -> list[torch.Tensor]:
+        """All rotations, then all axes."""
+        axes = _axes(x.index_select(1, self.angles).reshape(-1, len(self.angles) // 3, 3))
+        # Row i of `axes` is axis i of a frame, so this holds the axes of one frame as seen from another.
+        seen_from = axes.index_select(1, self.seen_from).transpose(2, 3)
+        relative = axes.index_select(1, self.turned) @ seen_from
+        first = relative[:, : self._rotations, :2].reshape(-1, 6 * self._rotations)
+        later = relative[:, self._rotations :].reshape(-1, 3 * (len(self.turned) - self._rotations), 3)
+        dx, dy, dz = later.index_select(1, self.chosen).unbind(2)
+        products = [2 * dx * dy, 2 * dy * dz, 2 * dx * dz, dx * dx - dy * dy, dy * dy - dz * dz]
+        return [first, torch.stack(products, 2).reshape(-1, 5 * len(self.chosen))]
+
+
+def _axes(angles: torch.Tensor) -> torch.Tensor:
+    """The axes, by row, of frames turned by roll, pitch and yaw about fixed axes x, y and z."""
+    sin, cos = angles.sin(), angles.cos()
+    sr, sp, sy = sin.unbind(2)
+    cr, cp, cy = cos.unbind(2)
+    x = torch.stack([cy * cp, sy * cp, -sp], 2)
+    y = torch.stack([cy * sp * sr - sy * cr, sy * sp * sr + cy * cr, cp * sr], 2)
+    z = torch.stack([cy * sp * cr + sy * sr, sy * sp * cr - cy * sr, cp * cr], 2)
+    return torch.stack([x, y, z], 2)
+
+
+class Inputs(nn.Module):
+    """What a network sees, made from the arrays of an observation by their names.
+
+    Attributes:
+        keys: The arrays that are needed.
+        size: How many numbers they become.
+    """
+
+    def __init__(self, words: Sequence[str], sizes: Mapping[str, int], program: Sequence[Part]) -> None:
+        """Of the words to be seen.
+
+        Args:
+            words: Some of :data:`WORDS`.
+            sizes: Numbers of state, each goal, relative features and contact, by word.
+            program: What computes relative features.
+        """
+        super().__init__()
+        self.words, self.sizes, self.program = tuple(words), dict(sizes), list(program)
+        width = sum(sizes[key] for key in (STATE, *GOALS))
+        self.relative = Relative(program, width) if RELATIVE in words else None
+        needed = {*words, *((STATE, *GOALS) if self.relative else ()), *([STATE] if CONTACT in words else ())}
+        self.keys = [key for key in (STATE, *GOALS) if key in needed]
+        self.size = sum(sizes[word] for word in words)
+
+    @classmethod
+    def of(cls, spec: trocar.TaskSpec, words: Sequence[str]) -> Inputs:
+        """Of a task.
+
+        Raises:
+            ValueError: The task has no such word.
+        """
+        sizes, program = _described(spec)
+        for word in words:
+            if sizes.get(word, 0) == 0:
+                allowed = f"{spec.id} has {[word for word, size in sizes.items() if size]}"
+                raise refuse(InvalidOption, "inputs", word, allowed)
+        return cls(words, sizes, program)
+
+    def forward(self, arrays: Mapping[str, torch.Tensor]) -> torch.Tensor:
+        """Numbers of shape (rows, :attr:`size`) of arrays of shape (rows, …), by their names."""
+        return torch.cat([self.part(word, arrays) for word in self.words], 1)
+
+    def part(self, word: str, arrays: Mapping[str, torch.Tensor]) -> torch.Tensor:
+        """The numbers of one word."""
+        if word in GOALS:
+            return arrays[word]
+        state, contact = arrays[STATE].split([self.sizes[STATE], self.sizes[CONTACT]], 1)
+        if word == RELATIVE:
+            assert self.relative is not None
+            return self.relative(torch.cat([state, *(arrays[goal] for goal in GOALS)], 1))
+        return contact if word == CONTACT else state
+
+
+class BatchInputs:
+    """The same as :class:`Inputs`, of a whole batch of arrays in one call of the bindings."""
+
+    def __init__(self, spec: trocar.TaskSpec, words: Sequence[str]) -> None:
+        self.spec, self.words = spec, tuple(words)
+        self.state = _described(spec)[0][STATE]
+
+    def __call__(
+        self, observation: NDArray[Any], achieved: NDArray[Any], desired: NDArray[Any]
+    ) -> torch.Tensor:
+        """Numbers of shape (rows, …) of arrays of shape (rows, …)."""
+        state = observation[:, : self.state]
+        arrays = {STATE: state, CONTACT: observation[:, self.state :]} | dict(zip(GOALS, (achieved, desired)))
+        if RELATIVE in self.words:
+            arrays[RELATIVE] = trocar.features(state, achieved, desired, task=self.spec)
+        return torch.from_numpy(np.concatenate([arrays[word] for word in self.words], 1))
+
+
+def _described(spec: trocar.TaskSpec) -> tuple[dict[str, int], list[Part]]:
+    """How many numbers each word means in a task, and what computes its relative features."""
+    goal = len(spec.goal or [])
+    contact = sum(element.name.startswith("contact") for element in spec.observation)
+    sizes = {STATE: len(spec.observation) - contact, **dict.fromkeys(GOALS, goal)}
+    return sizes | {RELATIVE: len(spec.relative), CONTACT: contact}, list(spec.relative_program)

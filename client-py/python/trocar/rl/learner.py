@@ -1,0 +1,141 @@
+"""What a training run asks of every algorithm, and what Trocar's own algorithms have in common."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+import torch
+
+from trocar.rl.config import Config
+from trocar.rl.episodes import Episodes
+from trocar.rl.evaluation import Policy as Acting
+from trocar.rl.features import BatchInputs, Inputs
+from trocar.rl.networks import Policy
+from trocar.vector import TrocarVectorEnv
+
+Row = dict[str, float]
+"""Of a curve: numbers by the names in :data:`trocar.rl.runs.COLUMNS`."""
+
+Live = Callable[[float], None]
+"""Is told which part of an epoch is done."""
+
+FIRST_SEED, LAST_SEED = 10_000_000, 2**31
+"""Of the episodes that are learnt from: far from those of scores and demonstrations."""
+
+
+class Learner(Protocol):
+    """An algorithm in the middle of a run."""
+
+    @property
+    def acting(self) -> Acting:
+        """What is scored, and saved as a policy."""
+
+    def begin(self, live: Live) -> None:
+        """Learns what comes before the first epoch, if anything does."""
+
+    def learn(self, live: Live) -> None:
+        """Learns for one epoch."""
+
+    def row(self) -> Row:
+        """Steps and updates so far, and losses of the latest epoch."""
+
+    def save_policy(self, path: Path) -> None:
+        """Writes :attr:`acting`."""
+
+    def save(self, folder: Path) -> None:
+        """Writes all that :meth:`restore` needs to go on."""
+
+    def restore(self, folder: Path) -> None:
+        """Goes on where another was when it was saved."""
+
+    def close(self) -> None:
+        """Ends its environments."""
+
+
+class Own:
+    """What Trocar's own algorithms have in common: environments, demonstrations, a policy.
+
+    Attributes:
+        envs: Where episodes are played.
+        demos: Episodes of the expert; ``None`` without.
+        policy: What is trained.
+        random: Decides all that is random, but the first weights.
+    """
+
+    def __init__(
+        self,
+        config: Config,
+        demos: Episodes | None,
+        seed: int,
+        *,
+        server: str | None = None,
+        expert: bool = False,
+    ) -> None:
+        """Untrained; ``seed`` is of networks, exploration and episodes."""
+        self.config, self.demos = config, demos
+        self.envs = TrocarVectorEnv(
+            config.task,
+            config.envs,
+            server=server,
+            autoreset_mode="disabled",
+            expert=expert,
+            **config.options,
+        )
+        spec = self.envs.task_spec
+        self.random = np.random.default_rng(seed)
+        torch.manual_seed(seed)
+        inputs = Inputs.of(spec, config.words)
+        self.policy = Policy(inputs, len(spec.action), config.hidden, config.norm_clip)
+        self.features = BatchInputs(spec, config.words)
+        self.steps = self.updates = 0
+        self._noted: dict[str, list[float]] = {}
+
+    @property
+    def acting(self) -> Policy:
+        """What is scored, and saved as a policy."""
+        return self.policy
+
+    def seeds(self) -> list[int]:
+        """Of the next episodes, one for each environment."""
+        return self.random.integers(FIRST_SEED, LAST_SEED, size=self.envs.num_envs).tolist()
+
+    def note(self, **values: float) -> None:
+        """Notes losses of an update."""
+        for name, value in values.items():
+            self._noted.setdefault(name, []).append(value)
+
+    def row(self) -> Row:
+        """Steps and updates so far, and mean losses since the latest row."""
+        losses = {name: float(np.mean(values)) for name, values in self._noted.items()}
+        self._noted.clear()
+        return {"steps": self.steps, "updates": self.updates, **losses}
+
+    def save_policy(self, path: Path) -> None:
+        """Writes :attr:`acting`."""
+        self.acting.save(path)
+
+    def state(self) -> dict[str, Any]:
+        """All that decides how it goes on."""
+        progress = {"steps": self.steps, "updates": self.updates, "random": self.random.bit_generator.state}
+        return {"progress": progress, "policy": self.policy.state_dict()}
+
+    def go_on(self, state: dict[str, Any]) -> None:
+        """Goes on from what :meth:`state` gave."""
+        self.steps, self.updates = state["progress"]["steps"], state["progress"]["updates"]
+        self.random.bit_generator.state = state["progress"]["random"]
+        self.policy.load_state_dict(state["policy"])
+
+    def save(self, folder: Path) -> None:
+        """Writes all that :meth:`restore` needs to go on."""
+        torch.save(self.state(), folder / "learner.pt")
+
+    def restore(self, folder: Path) -> None:
+        """Goes on where another was when it was saved."""
+        self.go_on(torch.load(folder / "learner.pt", weights_only=False))
+
+    def close(self) -> None:
+        """Ends its environments."""
+        self.envs.close()
