@@ -16,10 +16,11 @@ from stable_baselines3.common.type_aliases import DictReplayBufferSamples
 
 from trocar.demos import record
 from trocar.rl import GoalDDPG, export, load
+from trocar.rl.baselines import make_model
 from trocar.rl.config import Config
-from trocar.rl.demonstrations import buffer, opened
+from trocar.rl.demonstrations import buffer, recorded
+from trocar.rl.features import Inputs
 from trocar.rl.normalise import Normalised
-from trocar.rl.training import make_model
 from trocar.sb3 import TrocarVecEnv, make_vec
 
 # One action, one goal: what networks compute can be written down.
@@ -98,7 +99,9 @@ def test_inputs_are_relative_to_what_was_seen() -> None:
             for name in ("observation", "achieved_goal", "desired_goal")
         }
     )
-    extractor = Normalised(space, inputs=("observation", "desired_goal"), eps=0.5, clip=3.0)
+    sizes = {"observation": 2, "achieved_goal": 2, "desired_goal": 2, "contact": 0}
+    inputs = Inputs(("observation", "desired_goal"), sizes, [])
+    extractor = Normalised(space, inputs=inputs, eps=0.5, clip=3.0)
     zeros = {name: torch.zeros(1, 2) for name in space}
     # Nothing was seen: bounds are two standard deviations.
     extractor.refresh()
@@ -166,8 +169,10 @@ def dataset(server: str, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return Path(record(TASK, episodes=DEMOS, out=out, server=server).path)
 
 
-def test_demonstrations_are_relabelled_like_experience(envs: TrocarVecEnv, dataset: Path) -> None:
-    demos = buffer(opened(dataset, config()), config(), envs)
+def test_demonstrations_are_relabelled_like_experience(
+    envs: TrocarVecEnv, dataset: Path, server: str
+) -> None:
+    demos = buffer(recorded(dataset, config(), server), config(), envs)
     assert demos.size() == 50 * DEMOS
     drawn = demos.sample(2000)
     achieved, desired, given = (
@@ -196,9 +201,9 @@ def test_demonstrations_are_relabelled_like_experience(envs: TrocarVecEnv, datas
     assert drawn.dones.sum() == 0
 
 
-def test_a_batch_ends_with_demonstrations(envs: TrocarVecEnv, dataset: Path) -> None:
+def test_a_batch_ends_with_demonstrations(envs: TrocarVecEnv, dataset: Path, server: str) -> None:
     model = made(envs, noise=0.0, random_actions=1.0)
-    model.learn_from(buffer(opened(dataset, config()), config(), envs))
+    model.learn_from(buffer(recorded(dataset, config(), server), config(), envs))
     model.learn(100)
     drawn = model.sample(64)
     assert model.demos is not None

@@ -8,13 +8,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from minari import MinariDataset
 from numpy.typing import NDArray
 
-from trocar.demos import record
 from trocar.rl import Config, load, train
 from trocar.rl.curriculum import COUNTED, CurriculumVecEnv
-from trocar.rl.demonstrations import opened
+from trocar.rl.demonstrations import expert
+from trocar.rl.episodes import Episodes
 from trocar.sb3 import make_vec
 
 TASK = "MisOrient-v0"
@@ -29,36 +28,32 @@ def config(**changes: Any) -> Config:
 
 
 @pytest.fixture(scope="module")
-def demos(server: str, tmp_path_factory: pytest.TempPathFactory) -> MinariDataset:
-    out = tmp_path_factory.mktemp("demos")
-    return opened(Path(record(TASK, episodes=DEMOS, out=out, server=server).path), config())
+def demos(server: str) -> Episodes:
+    return expert(config(), server)
 
 
 @pytest.fixture
-def envs(server: str, demos: MinariDataset) -> Iterator[CurriculumVecEnv]:
+def envs(server: str, demos: Episodes) -> Iterator[CurriculumVecEnv]:
     made = make_vec(f"trocar/{TASK}", 2, server=server, expert=True)
     yield CurriculumVecEnv(made.envs, demos, config())
     made.close()
 
 
-def test_episodes_go_on_as_the_demonstrations_did(
-    envs: CurriculumVecEnv, demos: MinariDataset
-) -> None:
+def test_episodes_go_on_as_the_demonstrations_did(envs: CurriculumVecEnv, demos: Episodes) -> None:
     assert [len(states) for states in envs.ways] == [0, *[DEMOS] * (LEVELS - 1)]
-    for number, episode in enumerate(demos.iterate_episodes()):
-        seen: Any = episode.observations
-        (failing,) = np.nonzero(~episode.infos["is_success"][1:])
+    for number in range(DEMOS):
+        (failing,) = np.nonzero(~demos.success[number])
         length = failing[-1] + 1
         assert 3 <= length < 50
         for level in range(1, LEVELS):
             now: Any = envs.envs.restore(envs.ways[level][number], [1])
             begun = round(length * level / LEVELS)
             for step in range(begun, length):
-                assert now["observation"][1] == pytest.approx(seen["observation"][step], abs=0)
-                envs.envs.send(episode.actions[step][None], [1])
+                assert (now["observation"][1] == demos.observation[number, step]).all()
+                envs.envs.send(demos.action[number, step][None], [1])
                 envs.envs.recv()
                 now = envs.envs.restore(envs.envs.snapshot([1]), [1])
-            assert now["achieved_goal"][1] == pytest.approx(seen["achieved_goal"][length], abs=0)
+            assert (now["achieved_goal"][1] == demos.achieved[number, length]).all()
 
 
 def lengths(

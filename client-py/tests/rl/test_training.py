@@ -28,12 +28,23 @@ SMALL: dict[str, Any] = {
     "eval_episodes": 4,
     "batch_size": 64,
 }
+OWN: dict[str, Any] = {"envs": 2, "updates": 1, "warm_up": 4, "critic_updates": 50}
 RUNS: dict[str, tuple[str, dict[str, Any]]] = {
     "her": ("NeedleReach-v0", {"updates": 60}),
     "her-demo": ("NeedlePick-v0", {"updates": 60, "demos": 3, "demo_batch": 16}),
     "ddpg": ("ActiveTrack-v0", {"updates": 60, "learning_starts": 400, "train_every": 250}),
     "ppo": ("NeedleReach-v0", {"envs": 4, "train_every": 50, "passes": 5, "batch_size": 50}),
+    "td3-demo": ("NeedlePick-v0", {**OWN, "demos": 3, "demo_batch": 16, "clone_updates": 50}),
+    "td3-her": ("NeedleReach-v0", {**OWN, "learning_starts": 200}),
+    "dagger": ("NeedlePick-v0", {"envs": 2, "demos": 3, "clone_updates": 60}),
 }
+CLONED = ("clone_loss", "passed")
+LOSSES: dict[str, set[str]] = {
+    **{algo: {"actor_loss", "critic_loss"} for algo in ("her", "ddpg", "ppo", "td3-her")},
+    **{algo: {"actor_loss", "critic_loss", *CLONED} for algo in ("her-demo", "td3-demo")},
+    "dagger": {"clone_loss"},
+}
+"""What is told of each."""
 TIMES = ("wall_s", "trainer_cpu_s", "server_cpu_s")
 
 
@@ -66,11 +77,11 @@ def test_it_learns_the_same_again_and_after_an_interruption(
     straight = train(config, 1, out=tmp_path / "one", server=server, say=quietly)
     rows = curve(straight)
     assert [row["epoch"] for row in rows] == list(range(config.epochs + 1))
-    assert rows[-1]["steps"] == config.epochs * config.epoch_steps
+    assert rows[-1]["steps"] == rows[0]["steps"] + config.epochs * config.epoch_steps
     assert rows[-1]["updates"] >= 15 if algo == "ppo" else rows[-1]["updates"] >= 200
     assert all(np.isfinite(list(row.values())).all() for row in rows)
-    assert {"actor_loss", "critic_loss"} <= rows[-1].keys()
-    assert ("passed" in rows[-1]) == (algo == "her-demo")
+    told = {name for name in rows[-1] if name.endswith("loss") or name == "passed"}
+    assert told == LOSSES[algo]
     for name in ("config.json", "curve.csv", "curve.png", "last.zip", "best.zip"):
         assert (straight.path / name).stat().st_size > 0
     assert list((straight.path / "tensorboard").iterdir())
@@ -83,8 +94,8 @@ def test_it_learns_the_same_again_and_after_an_interruption(
         train(config, 1, out=tmp_path / "two", server=server, say=stop)
     with pytest.raises(ValueError, match="resume"):
         train(config, 1, out=tmp_path / "two", server=server, say=quietly)
-    other = config.but(gamma=0.9)
-    with pytest.raises(ValueError, match="gamma"):
+    other = config.but(norm_clip=4.0)
+    with pytest.raises(ValueError, match="norm_clip"):
         train(other, 1, out=tmp_path / "two", server=server, resume=True, say=quietly)
     resumed = train(config, 1, out=tmp_path / "two", server=server, resume=True, say=quietly)
     assert curve(resumed) == rows
@@ -137,19 +148,43 @@ def test_an_exported_policy_acts_as_the_model_does(
     assert "NeedleReach-v0" in refused.stderr
 
 
-def test_every_algorithm_s_policy_can_be_exported(tmp_path: Path, server: str) -> None:
-    for algo in ("ppo", "ddpg"):
-        changes = {"epochs": 1} if algo == "ppo" else {}
-        run = train(small(algo, **changes), 0, out=tmp_path, server=server, say=quietly)
-        model = run.policy()
-        network = ReferenceEvaluator(str(export(model, run.config, tmp_path / f"{algo}.onnx")))
-        envs = make_vec(run.config.task_id, 1, seed=3, server=server)
-        seen: Any = envs.reset()
-        expected, _ = model.predict(seen, deterministic=True)
-        inputs = seen if isinstance(seen, dict) else {"observation": seen}
-        (action,) = network.run(None, {name: inputs[name] for name in network.input_names})
-        assert action == pytest.approx(expected, abs=1e-5)
-        envs.close()
+@pytest.mark.parametrize(
+    ("algo", "changes"),
+    [
+        ("ppo", {"epochs": 1}),
+        ("ddpg", {}),
+        ("her", {"epochs": 1, "inputs": "relative"}),
+        ("her-demo", {"epochs": 1, "inputs": ["relative", "desired_goal"]}),
+        ("td3-her", {"epochs": 1}),
+        ("dagger", {"epochs": 1}),
+    ],
+)
+def test_every_algorithm_s_policy_can_be_exported(
+    algo: str, changes: dict[str, Any], tmp_path: Path, server: str
+) -> None:
+    run = train(small(algo, **changes), 0, out=tmp_path, server=server, say=quietly)
+    model = run.policy("last")
+    path = export(model, run.config, tmp_path / "policy.onnx")
+    network = ReferenceEvaluator(str(path))
+    if "relative" in run.config.inputs:
+        assert network.input_names == ["observation", "achieved_goal", "desired_goal"]
+    envs = make_vec(run.config.task_id, 8, seed=3, server=server)
+    seen: Any = envs.reset()
+    expected, _ = model.predict(seen, deterministic=True)
+    inputs = seen if isinstance(seen, dict) else {"observation": seen}
+    for row in range(8):
+        fed = {name: inputs[name][row : row + 1] for name in network.input_names}
+        (action,) = network.run(None, fed)
+        assert action == pytest.approx(expected[row : row + 1], abs=1e-5)
+    assert np.abs(expected - expected[0]).max() > 1e-4
+    result = score(model, envs, 77, 8)
+    envs.close()
+    if algo == "dagger":
+        # The command runs it, features and all.
+        command = [trocar.binary(), "rollout", "--policy", str(path), "--episodes", "8"]
+        said = json.loads(subprocess.check_output([*command, "--seed", "77", "--json"]))
+        assert said["success_rate"] == result.success_rate
+        assert said["mean_return"] == pytest.approx(result.mean_return, abs=0.13)
 
 
 def test_evaluation_says_how_sure_it_is(
@@ -270,6 +305,17 @@ def test_tables_are_means_over_policies(tmp_path: Path, capsys: pytest.CaptureFi
         ("ActiveTrack", "ddpg", {"action_l2": 1.0}, "ddpg does not use it"),
         ("NeedlePick", "her", {"clone_weight": 1.0}, "her-demo"),
         ("NeedlePick", "ppo", {"noise": 0.1}, "ppo does not use it"),
+        ("NeedlePick", "bc", {"gamma": 0.9}, "bc does not use it"),
+        ("NeedlePick", "td3-her", {"demos": 5}, "td3-her does not use it"),
+        ("NeedlePick", "td3-demo", {"demo_batch": 256}, "demo_batch"),
+        ("NeedlePick", "td3-demo", {"envs": 24}, "multiple"),
+        ("NeedlePick", "td3-demo", {"hindsight": 1.5}, "hindsight"),
+        ("NeedlePick", "td3-demo", {"inputs": "smell"}, "relative"),
+        ("NeedlePick", "td3-demo", {"enough": 2.0}, "enough"),
+        ("NeedlePick", "dagger", {"epochs": 0}, "epochs"),
+        ("NeedlePick", "dagger", {"clone_updates": 0}, "clone_updates"),
+        ("ActiveTrack", "td3-demo", {}, "no goals"),
+        ("ActiveTrack", "td3-her", {"hindsight": 0.5}, "no goals"),
     ],
 )
 def test_bad_configurations_are_refused(
@@ -281,9 +327,12 @@ def test_bad_configurations_are_refused(
 
 def test_every_task_has_its_configurations() -> None:
     for task in trocar.registration.TASKS:
-        for algo in ("ddpg", "ppo"):
+        for algo in ("ddpg", "ppo", "bc", "dagger", "td3-her", None):
             assert Config.from_json(load(task, algo).to_json()) == load(task, algo)
     assert load("NeedlePick", "her-demo").policy_weight == 0.001
+    assert load("NeedlePick").algo == "td3-demo"
+    assert load("NeedleReach").algo == "td3-her"
+    assert load("NeedlePick", "her").but(inputs="relative").inputs == ("relative",)
     assert load("trocar/MisOrient-v0", "her").norm_eps == 0.01
 
 

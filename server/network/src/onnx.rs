@@ -3,7 +3,7 @@
 //! feed-forward policy needs is refused: nested graphs, other files, and operators that make much of little.
 
 /// Operators of feed-forward networks.
-const OPERATORS: [&str; 48] = [
+const OPERATORS: [&str; 50] = [
     "Abs",
     "Add",
     "Cast",
@@ -11,6 +11,7 @@ const OPERATORS: [&str; 48] = [
     "Clip",
     "Concat",
     "Constant",
+    "Cos",
     "Div",
     "Elu",
     "Erf",
@@ -41,6 +42,7 @@ const OPERATORS: [&str; 48] = [
     "Reshape",
     "Selu",
     "Sigmoid",
+    "Sin",
     "Slice",
     "Softmax",
     "Softplus",
@@ -176,10 +178,13 @@ mod tests {
 
     #[test]
     fn what_a_policy_has_is_let_through() {
-        let node = [field(1, b"observation"), field(4, b"Tanh")].concat();
-        let weights = [vec![1 << 3, 3], field(4, &[0; 12])].concat();
-        let graph = [field(1, &node), field(5, &weights)].concat();
-        assert_eq!(check(&[vec![8, 8], field(7, &graph)].concat()), Ok(()));
+        // Of a network, and of relative features, which have rotations in them.
+        for operator in ["Tanh", "Gemm", "Sin", "Cos", "MatMul", "Gather"] {
+            let node = [field(1, b"observation"), field(4, operator.as_bytes())].concat();
+            let weights = [vec![1 << 3, 3], field(4, &[0; 12])].concat();
+            let graph = [field(1, &node), field(5, &weights)].concat();
+            assert_eq!(check(&[vec![8, 8], field(7, &graph)].concat()), Ok(()), "{operator}");
+        }
     }
 
     #[test]

@@ -7,9 +7,9 @@ Needs the extra ``trocar[rl]``. From a shell:
     python -m trocar.rl curves runs --out curves.png
     python -m trocar.rl export runs/NeedlePick-v0/td3-demo/seed-0 --out policy.onnx
 
-Parts to build on: :func:`play` plays episodes of many environments, :class:`Episodes` keeps them and
-draws transitions with hindsight goals, :class:`Inputs` is what networks see, :class:`Td3Demo`,
-:class:`Cloning` and :class:`Dagger` learn.
+Parts to build on: :func:`play` plays episodes in many environments, :class:`Episodes` keeps them
+and draws transitions with hindsight goals, :class:`Inputs` is what networks see, and
+:class:`Td3Demo`, :class:`Cloning` and :class:`Dagger` learn.
 """
 
 try:

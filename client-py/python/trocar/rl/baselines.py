@@ -1,4 +1,4 @@
-"""Stable-Baselines3's algorithms as learners of a run: models, and checkpoints that lose nothing."""
+"""Stable-Baselines3's algorithms as learners of a run."""
 
 from __future__ import annotations
 

@@ -181,7 +181,8 @@ class Config:
     def steps(self) -> int:
         """Steps of an episode that lasts to its end."""
         nominal = RATES.get(self.task, 5)
-        return round(TASKS[self.task] * self.task_options.get("rate", nominal) / nominal)
+        steps: int = round(TASKS[self.task] * self.task_options.get("rate", nominal) / nominal)
+        return steps
 
     @property
     def epoch_steps(self) -> int:
@@ -279,7 +280,14 @@ def _checked(config: Config) -> Config:
     if config.task == "ActiveTrack-v0":
         allowed = "the task has no goals: allowed are ['ddpg', 'ppo', 'td3-her', 'bc', 'dagger']"
         check(not config.algo.startswith("her") and config.algo != "td3-demo", "algo", allowed)
-    counts = ("epoch_episodes", "eval_episodes", "envs", "batch_size", "train_every", "policy_every")
+    counts = (
+        "epoch_episodes",
+        "eval_episodes",
+        "envs",
+        "batch_size",
+        "train_every",
+        "policy_every",
+    )
     for name in counts if config.algo == "bc" else (*counts, "epochs"):
         check(getattr(config, name) >= 1, name, "allowed are numbers from 1 on")
     if config.algo in BASELINES:

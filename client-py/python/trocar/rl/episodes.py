@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
@@ -12,8 +13,20 @@ import trocar
 from trocar.demos import Episode
 from trocar.vector import TrocarVectorEnv
 
-Act = Callable[[NDArray[Any], NDArray[Any], NDArray[Any], dict[str, Any]], NDArray[np.float32]]
-"""Actions for rows of states, achieved goals, desired goals, and the infos that came with them."""
+
+class Seen(NamedTuple):
+    """What there is to see before a step: rows of the environments that are stepped."""
+
+    envs: NDArray[np.int64]
+    """Which they are."""
+    arrays: tuple[NDArray[Any], NDArray[Any], NDArray[Any]]
+    """States, achieved and desired goals; goals without numbers where a task has none."""
+    infos: dict[str, Any]
+    """What came with them."""
+
+
+Act = Callable[[Seen], NDArray[np.float32]]
+"""Actions for each row."""
 
 
 class Transitions(NamedTuple):
@@ -83,7 +96,9 @@ class Episodes:
         """Of each episode: whether it ended in success; without goals, whether it lasted."""
         rows = np.arange(len(self))
         last = self.length[rows] - 1
-        return self.success[rows, last] if self.desired.shape[1] else ~self.terminated[rows, last]
+        reached: NDArray[np.bool_] = self.success[rows, last]
+        lasted: NDArray[np.bool_] = ~self.terminated[rows, last]
+        return reached if self.desired.shape[1] else lasted
 
     def add(self, others: Episodes, chosen: NDArray[np.bool_] | None = None) -> None:
         """Takes other episodes in; of those only the chosen ones, if there is a choice."""
@@ -175,46 +190,47 @@ def play(
     act: Act,
     seeds: Sequence[int],
     *,
-    meanwhile: Callable[[], None] = lambda: None,
+    meanwhile: Callable[[int], None] = lambda _: None,
 ) -> Episodes:
     """Plays an episode in each environment.
 
     Args:
         envs: Environments with autoreset ``disabled``; made with ``expert=True``, they also say
             what the expert would have done in each state.
-        act: Who acts.
+        act: What acts.
         seeds: Of the episodes, one for each environment.
-        meanwhile: Done once for each step, while the server simulates it.
+        meanwhile: Called with the number of each step while the server simulates it.
     """
     played = Episodes(envs.task_spec, envs.num_envs)
     played.seed[:], played.count = seeds, envs.num_envs
-    seen, infos = envs.reset(seed=list(seeds))
+    observation, infos = envs.reset(seed=list(seeds))
     running = np.arange(envs.num_envs)
-    observation, achieved, desired = _arrays(seen)
-    played.observation[:, 0], played.achieved[:, 0], played.desired[:] = _arrays(seen)
-    while running.size:
-        time = played.length[running[0]]
-        action = act(observation, achieved, desired, infos)
+    seen = Seen(running, _arrays(observation), infos)
+    played.observation[:, 0], played.achieved[:, 0], played.desired[:] = seen.arrays
+    for time in itertools.count():
+        action = act(seen)
         played.action[running, time] = action
-        played.label[running, time] = infos.get("expert_action", action)
+        played.label[running, time] = seen.infos.get("expert_action", action)
         envs.send(action, running)
-        meanwhile()
-        seen, reward, terminated, truncated, infos = envs.recv()
-        observation, achieved, desired = _arrays(seen)
-        played.observation[running, time + 1], played.achieved[running, time + 1] = observation, achieved
+        meanwhile(time)
+        observation, reward, terminated, truncated, infos = envs.recv()
+        arrays = _arrays(observation)
+        played.observation[running, time + 1], played.achieved[running, time + 1] = arrays[:2]
         played.reward[running, time], played.success[running, time] = reward, infos["is_success"]
         played.terminated[running, time] = terminated
         played.length[running] += 1
         goes_on = ~(terminated | truncated)
         running = running[goes_on]
-        observation, achieved, desired = observation[goes_on], achieved[goes_on], desired[goes_on]
+        if not running.size:
+            break
+        left = [rows[goes_on] for rows in arrays]
         infos = {key: rows[goes_on] for key, rows in infos.items()}
+        seen = Seen(running, (left[0], left[1], left[2]), infos)
     played._ends = played.length.cumsum()
     return played
 
 
 def _arrays(seen: Any) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
-    """State, achieved and desired goal; goals without numbers where a task has none."""
     if isinstance(seen, dict):
         return seen["observation"], seen["achieved_goal"], seen["desired_goal"]
     nothing = np.zeros((len(seen), 0), np.float32)

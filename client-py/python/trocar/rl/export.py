@@ -28,7 +28,8 @@ class Acting(nn.Module):
     def __init__(self, model: BaseAlgorithm | Policy) -> None:
         super().__init__()
         self.policy: Any = model if isinstance(model, Policy) else model.policy
-        self.inputs: Inputs = self.policy.inputs if isinstance(model, Policy) else self.extractor.inputs
+        source = model if isinstance(model, Policy) else self.extractor
+        self.inputs: Inputs = source.inputs
 
     @property
     def actor(self) -> Any:

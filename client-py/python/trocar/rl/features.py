@@ -1,7 +1,7 @@
 """What networks see: an observation as it is, or what is relative in it.
 
-:func:`trocar.features` computes relative features of whole batches. :class:`Inputs` computes the same as a
-part of a network, so that an exported policy has its features inside.
+:func:`trocar.features` computes relative features of whole batches. :class:`Inputs` computes the
+same as a part of a network, so that an exported policy has its features inside.
 """
 
 from __future__ import annotations
@@ -45,7 +45,8 @@ class Relative(nn.Module):
     angles: torch.Tensor
     turned: torch.Tensor
     seen_from: torch.Tensor
-    chosen: torch.Tensor
+    firsts: torch.Tensor
+    alone: torch.Tensor
     order: torch.Tensor
 
     def __init__(self, program: Sequence[Part], width: int) -> None:
@@ -61,24 +62,35 @@ class Relative(nn.Module):
             places[kind] += range(self.size, self.size + count)
             self.size += count
         self._clipped = len(places["clip"])
-        self._rotations = len(kinds["rotation"])
         # Whatever is missing (an origin, a frame) is a column of zeros after those of x.
-        steps = [(part, step) for part in kinds["clip"] + kinds["tanh"] for step in range(part["count"])]
+        steps = [
+            (part, step) for part in kinds["clip"] + kinds["tanh"] for step in range(part["count"])
+        ]
         self._index("end", [part["to"] + step for part, step in steps])
         origins = [(part["from"], step) for part, step in steps]
-        self._index("start", [width if origin is None else origin + step for origin, step in origins])
+        self._index(
+            "start", [width if origin is None else origin + step for origin, step in origins]
+        )
         fixed = [0.0 if part["fixed"] is None else part["fixed"][step] for part, step in steps]
         self.register_buffer("fixed", torch.tensor(fixed), persistent=False)
         scale = torch.tensor([float(part["scale"]) for part, _ in steps])
         self.register_buffer("scale", scale, persistent=False)
         pairs = [(part["of"], part["seen_from"]) for part in kinds["rotation"] + kinds["axis"]]
         frames = list(dict.fromkeys(frame for pair in pairs for frame in pair))
-        columns = [[width] * 3 if frame is None else [frame + k for k in range(3)] for frame in frames]
-        self._index("angles", sum(columns, []))
+        self._pairs, self._frames = len(pairs), len(frames)
+        columns = [
+            [width] * 3 if frame is None else [frame + k for k in range(3)] for frame in frames
+        ]
+        self._index("angles", [column for each in columns for column in each])
         self._index("turned", [frames.index(turned) for turned, _ in pairs])
         self._index("seen_from", [frames.index(seen_from) for _, seen_from in pairs])
-        self._index("chosen", [3 * row + part["axis"] for row, part in enumerate(kinds["axis"])])
-        self._index("order", np.argsort(sum(places.values(), [])).tolist())
+        rotations = len(kinds["rotation"])
+        self._index("firsts", [3 * row + axis for row in range(rotations) for axis in range(2)])
+        axes = [part["axis"] for part in kinds["axis"]]
+        self._index("alone", [3 * (rotations + row) + axis for row, axis in enumerate(axes)])
+        self._index(
+            "order", np.argsort([place for each in places.values() for place in each]).tolist()
+        )
 
     def _index(self, name: str, numbers: Sequence[int]) -> None:
         self.register_buffer(name, torch.tensor(numbers, dtype=torch.int64), persistent=False)
@@ -90,21 +102,21 @@ class Relative(nn.Module):
         offsets = offsets / self.scale
         clipped = offsets[:, : self._clipped].clamp(-LARGEST, LARGEST)
         parts = [clipped, offsets[:, self._clipped :].tanh()]
-        if len(self.turned):
+        if self._pairs:
             parts += self._turns(x)
         return torch.cat(parts, 1).index_select(1, self.order)
 
     def _turns(self, x: torch.Tensor) -> list[torch.Tensor]:
         """All rotations, then all axes."""
-        axes = _axes(x.index_select(1, self.angles).reshape(-1, len(self.angles) // 3, 3))
-        # Row i of `axes` is axis i of a frame, so this holds the axes of one frame as seen from another.
+        axes = _axes(x.index_select(1, self.angles).reshape(-1, self._frames, 3))
+        # Rows of a frame are its axes, so those of a product are one's axes as seen from the other.
         seen_from = axes.index_select(1, self.seen_from).transpose(2, 3)
         relative = axes.index_select(1, self.turned) @ seen_from
-        first = relative[:, : self._rotations, :2].reshape(-1, 6 * self._rotations)
-        later = relative[:, self._rotations :].reshape(-1, 3 * (len(self.turned) - self._rotations), 3)
-        dx, dy, dz = later.index_select(1, self.chosen).unbind(2)
+        relative = relative.reshape(-1, 3 * self._pairs, 3)
+        dx, dy, dz = relative.index_select(1, self.alone).unbind(2)
         products = [2 * dx * dy, 2 * dy * dz, 2 * dx * dz, dx * dx - dy * dy, dy * dy - dz * dz]
-        return [first, torch.stack(products, 2).reshape(-1, 5 * len(self.chosen))]
+        firsts = relative.index_select(1, self.firsts)
+        return [firsts.flatten(1), torch.stack(products, 2).flatten(1)]
 
 
 def _axes(angles: torch.Tensor) -> torch.Tensor:
@@ -126,7 +138,9 @@ class Inputs(nn.Module):
         size: How many numbers they become.
     """
 
-    def __init__(self, words: Sequence[str], sizes: Mapping[str, int], program: Sequence[Part]) -> None:
+    def __init__(
+        self, words: Sequence[str], sizes: Mapping[str, int], program: Sequence[Part]
+    ) -> None:
         """Of the words to be seen.
 
         Args:
@@ -137,8 +151,12 @@ class Inputs(nn.Module):
         super().__init__()
         self.words, self.sizes, self.program = tuple(words), dict(sizes), list(program)
         width = sum(sizes[key] for key in (STATE, *GOALS))
-        self.relative = Relative(program, width) if RELATIVE in words else None
-        needed = {*words, *((STATE, *GOALS) if self.relative else ()), *([STATE] if CONTACT in words else ())}
+        self.relative = Relative(program, width)
+        needed = {
+            *words,
+            *((STATE, *GOALS) if RELATIVE in words else ()),
+            *([STATE] if CONTACT in words else ()),
+        }
         self.keys = [key for key in (STATE, *GOALS) if key in needed]
         self.size = sum(sizes[word] for word in words)
 
@@ -164,11 +182,12 @@ class Inputs(nn.Module):
         """The numbers of one word."""
         if word in GOALS:
             return arrays[word]
-        state, contact = arrays[STATE].split([self.sizes[STATE], self.sizes[CONTACT]], 1)
+        state = arrays[STATE][:, : self.sizes[STATE]]
         if word == RELATIVE:
-            assert self.relative is not None
-            return self.relative(torch.cat([state, *(arrays[goal] for goal in GOALS)], 1))
-        return contact if word == CONTACT else state
+            x = torch.cat([state, *(arrays[goal] for goal in GOALS)], 1)
+            features: torch.Tensor = self.relative(x)
+            return features
+        return arrays[STATE][:, self.sizes[STATE] :] if word == CONTACT else state
 
 
 class BatchInputs:
@@ -183,7 +202,8 @@ class BatchInputs:
     ) -> torch.Tensor:
         """Numbers of shape (rows, …) of arrays of shape (rows, …)."""
         state = observation[:, : self.state]
-        arrays = {STATE: state, CONTACT: observation[:, self.state :]} | dict(zip(GOALS, (achieved, desired)))
+        goals = dict(zip(GOALS, (achieved, desired), strict=True))
+        arrays = {STATE: state, CONTACT: observation[:, self.state :], **goals}
         if RELATIVE in self.words:
             arrays[RELATIVE] = trocar.features(state, achieved, desired, task=self.spec)
         return torch.from_numpy(np.concatenate([arrays[word] for word in self.words], 1))

@@ -1,4 +1,4 @@
-"""Cloning demonstrations, and DAgger, where the expert says what it would do in the policy's states."""
+"""Cloning demonstrations; and DAgger, where the expert labels the states of the policy."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def clone(
         rows = torch.from_numpy(random.integers(len(features), size=config.batch_size))
         loss = (policy(features[rows]) - actions[rows]).abs().mean()
         optimizer.zero_grad()
-        loss.backward()  # type: ignore[no-untyped-call]
+        loss.backward()
         optimizer.step()
         losses.append(loss.item())
         if update % 100 == 0:
@@ -63,7 +63,13 @@ class Cloning(Own):
     """Behaviour cloning: the policy learns what demonstrations do, and acts nowhere."""
 
     def __init__(
-        self, config: Config, demos: Episodes, seed: int, *, server: str | None = None, expert: bool = False
+        self,
+        config: Config,
+        demos: Episodes,
+        seed: int,
+        *,
+        server: str | None = None,
+        expert: bool = False,
     ) -> None:
         """As :class:`Own`; demonstrations are needed."""
         super().__init__(config, demos, seed, server=server, expert=expert)
@@ -90,7 +96,9 @@ class Dagger(Cloning):
     No-Regret Online Learning, AISTATS 2011.
     """
 
-    def __init__(self, config: Config, demos: Episodes, seed: int, *, server: str | None = None) -> None:
+    def __init__(
+        self, config: Config, demos: Episodes, seed: int, *, server: str | None = None
+    ) -> None:
         """As :class:`Own`; demonstrations are needed."""
         super().__init__(config, demos, seed, server=server, expert=True)
 
@@ -98,7 +106,7 @@ class Dagger(Cloning):
         """Plays the episodes of an epoch, and clones the expert in all states so far."""
         rounds = self.config.epoch_episodes // self.config.envs
         for number in range(rounds):
-            played = play(self.envs, lambda *seen: self.policy.act(*seen[:3]), self.seeds())
+            played = play(self.envs, lambda seen: self.policy.act(*seen.arrays), self.seeds())
             self.steps += played.steps
             parts = zip(self.shown, labelled(played, self.features), strict=True)
             features, actions = map(torch.cat, parts)

@@ -100,7 +100,8 @@ class Own:
 
     def seeds(self) -> list[int]:
         """Of the next episodes, one for each environment."""
-        return self.random.integers(FIRST_SEED, LAST_SEED, size=self.envs.num_envs).tolist()
+        seeds = self.random.integers(FIRST_SEED, LAST_SEED, size=self.envs.num_envs)
+        return [int(seed) for seed in seeds]
 
     def note(self, **values: float) -> None:
         """Notes losses of an update."""
@@ -119,7 +120,11 @@ class Own:
 
     def state(self) -> dict[str, Any]:
         """All that decides how it goes on."""
-        progress = {"steps": self.steps, "updates": self.updates, "random": self.random.bit_generator.state}
+        progress = {
+            "steps": self.steps,
+            "updates": self.updates,
+            "random": self.random.bit_generator.state,
+        }
         return {"progress": progress, "policy": self.policy.state_dict()}
 
     def go_on(self, state: dict[str, Any]) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -46,7 +47,7 @@ class Policy(nn.Module):
         """Untrained, for actions of ``actions`` numbers."""
         super().__init__()
         self.inputs = inputs
-        self.built_from = {"actions": actions, "hidden": list(hidden), "clip": clip}
+        self.built_from: dict[str, Any] = {"actions": actions, "hidden": list(hidden), "clip": clip}
         self.normal = Normal(inputs.size, clip)
         self.layers = _layers([inputs.size, *hidden, actions], layer_norm=False)
 
@@ -75,8 +76,14 @@ class Policy(nn.Module):
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Writes all that :meth:`load` needs."""
-        inputs = {"words": self.inputs.words, "sizes": self.inputs.sizes, "program": self.inputs.program}
-        torch.save({"inputs": inputs, "policy": self.built_from, "weights": self.state_dict()}, path)
+        inputs = {
+            "words": self.inputs.words,
+            "sizes": self.inputs.sizes,
+            "program": self.inputs.program,
+        }
+        torch.save(
+            {"inputs": inputs, "policy": self.built_from, "weights": self.state_dict()}, path
+        )
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Policy:
@@ -110,6 +117,10 @@ class Critics(nn.Module):
 
 def _layers(sizes: Sequence[int], *, layer_norm: bool) -> nn.Sequential:
     layers: list[nn.Module] = []
-    for width, following in zip(sizes[:-2], sizes[1:-1], strict=True):
-        layers += [nn.Linear(width, following), *([nn.LayerNorm(following)] if layer_norm else []), nn.ReLU()]
+    for width, following in pairwise(sizes[:-1]):
+        layers += [
+            nn.Linear(width, following),
+            *([nn.LayerNorm(following)] if layer_norm else []),
+            nn.ReLU(),
+        ]
     return nn.Sequential(*layers, nn.Linear(sizes[-2], sizes[-1]))

@@ -22,8 +22,8 @@ class Normalised(BaseFeaturesExtractor):
     """Inputs less their mean, by their standard deviation, clipped (as OpenAI baselines' HER).
 
     Achieved and desired goals have their statistics in common, so that they stay comparable. Before
-    anything was seen, an array's bounds stand for them; relative features are about 1 in any case. Stable-Baselines3 copies what is named
-    ``running_…`` to target networks.
+    anything was seen, an array's bounds stand for them, and relative features, which are about 1,
+    are left as they are. Stable-Baselines3 copies what is named ``running_…`` to target networks.
     """
 
     running_mean: torch.Tensor
@@ -69,7 +69,7 @@ class Normalised(BaseFeaturesExtractor):
     def forward(self, observations: Any) -> torch.Tensor:
         """Features of shape (batch, numbers of the inputs)."""
         arrays = observations if isinstance(observations, Mapping) else {STATE: observations}
-        features = (self.inputs(arrays) - self.running_mean) / self.running_std
+        features: torch.Tensor = (self.inputs(arrays) - self.running_mean) / self.running_std
         return features.clamp(-self.clip, self.clip)
 
     def see(self, observations: Mapping[str, NDArray[Any]] | NDArray[Any]) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -11,7 +12,7 @@ from numpy.typing import NDArray
 from torch.nn.functional import mse_loss
 
 from trocar.rl.config import Config
-from trocar.rl.episodes import Episodes, Transitions, play
+from trocar.rl.episodes import Episodes, Seen, Transitions, play
 from trocar.rl.imitation import clone, labelled
 from trocar.rl.learner import Live, Own
 from trocar.rl.networks import Critics, Policy
@@ -56,7 +57,9 @@ class Td3Demo(Own):
         super().__init__(config, demos, seed, server=server)
         spec = self.envs.task_spec
         low = -1 / (1 - config.gamma)
-        self.bounds = {"sparse": (low, 0.0), "dense": (-np.inf, 0.0)}.get(spec.reward, (-np.inf, np.inf))
+        self.bounds = {"sparse": (low, 0.0), "dense": (-np.inf, 0.0)}.get(
+            spec.reward, (-np.inf, np.inf)
+        )
         room = config.epochs * config.epoch_episodes + config.learning_starts // spec.max_steps + 1
         self.replay = Episodes(spec, min(room, max(1, config.buffer_size // spec.max_steps)))
         first = 0.3 * low if spec.reward == "sparse" else 0.0
@@ -87,7 +90,9 @@ class Td3Demo(Own):
         if self.demos is None:
             while self.steps < config.learning_starts:
                 self._take(play(self.envs, self._at_random, self.seeds()))
-            drawn = self.replay.sample(20 * config.batch_size, config.hindsight, self.envs, self.random)
+            drawn = self.replay.sample(
+                20 * config.batch_size, config.hindsight, self.envs, self.random
+            )
             self.policy.normal.fit(self._features(drawn)[0], config.norm_eps)
         else:
             shown = labelled(self.demos, self.features)
@@ -102,42 +107,36 @@ class Td3Demo(Own):
 
     def learn(self, live: Live) -> None:
         """Plays the episodes of an epoch, and learns meanwhile."""
-        config = self.config
-        rounds = config.epoch_episodes // config.envs
+        rounds = self.config.epoch_episodes // self.config.envs
         for number in range(rounds):
-            noise = 2 * config.noise * self.random.random((config.envs, 1))
-            warm = self.replay.count >= config.warm_up
-            for_all = iter(range(config.steps))
-
-            def explore(*seen: Any, noise: NDArray[np.float64] = noise) -> NDArray[np.float32]:
-                return self._explore(self.policy.act(*seen[:3]), noise)
-
-            def meanwhile(warm: bool = warm, times: Any = for_all) -> None:
-                if next(times) % config.train_every == 0:
-                    for _ in range(config.updates):
-                        self.update(policy_too=warm)
-
-            self._take(play(self.envs, explore, self.seeds(), meanwhile=meanwhile))
+            # One for the episode of each environment, so that some hardly stray and others do.
+            noise = 2 * self.config.noise * self.random.random((self.config.envs, 1))
+            follows = self.replay.count >= self.config.warm_up
+            act, meanwhile = partial(self._explore, noise), partial(self._train, follows)
+            self._take(play(self.envs, act, self.seeds(), meanwhile=meanwhile))
             live((number + 1) / rounds)
 
     def _take(self, played: Episodes) -> None:
         self.replay.add(played)
         self.steps += played.steps
 
-    def _explore(
-        self, action: NDArray[np.float32], noise: NDArray[np.float64]
-    ) -> NDArray[np.float32]:
-        """Actions with noise; a part of them is random."""
-        rows = noise[: len(action)]
-        noisy = action + rows * self.random.standard_normal(action.shape)
-        anything = self.random.uniform(-1, 1, action.shape)
-        chosen = self.random.random(rows.shape) < self.config.random_actions
-        clipped: NDArray[np.float32] = np.where(chosen, anything, noisy).clip(-1, 1).astype(np.float32)
-        return clipped
+    def _explore(self, noise: NDArray[np.float64], seen: Seen) -> NDArray[np.float32]:
+        """The policy's actions with noise; a part of them is random."""
+        action = self.policy.act(*seen.arrays)
+        noisy = action + noise[seen.envs] * self.random.standard_normal(action.shape)
+        chosen = self.random.random((len(action), 1)) < self.config.random_actions
+        mixed = np.where(chosen, self._at_random(seen), noisy)
+        return mixed.clip(-1.0, 1.0).astype(np.float32)
 
-    def _at_random(self, observation: NDArray[Any], *_: Any) -> NDArray[np.float32]:
-        shape = len(observation), len(self.envs.task_spec.action)
-        return self.random.uniform(-1, 1, shape).astype(np.float32)
+    def _at_random(self, seen: Seen) -> NDArray[np.float32]:
+        shape = len(seen.envs), len(self.envs.task_spec.action)
+        return self.random.uniform(-1.0, 1.0, shape).astype(np.float32)
+
+    def _train(self, follows: bool, time: int) -> None:
+        """Trains after a step of each environment; the policy too, if it follows the critics."""
+        if time % self.config.train_every == 0:
+            for _ in range(self.config.updates):
+                self.update(policy_too=follows)
 
     def batch(self) -> Batch:
         """Draws a batch: of demonstrations, and of what was played if anything was."""
@@ -182,7 +181,9 @@ class Td3Demo(Own):
             self.optimizer.step()
             _follow(self.target, self.policy, self.config.tau)
             _follow(self.averaged, self.policy, self.config.averaging)
-            self.note(actor_loss=loss.item(), clone_loss=clone_loss.item(), passed=passed.item())
+            self.note(actor_loss=loss.item())
+            if batch.shown:
+                self.note(clone_loss=clone_loss.item(), passed=passed.item())
 
     def critic_loss(self, batch: Batch) -> tuple[torch.Tensor, torch.Tensor]:
         """Mean squared difference from targets that are possible returns; and the lower values."""
