@@ -29,7 +29,7 @@ def computed(program: Sequence[dict[str, Any]], *x: float) -> NDArray[Any]:
 
 def offset(to: int, **changes: Any) -> dict[str, Any]:
     told = {"kind": "offset", "to": to, "from": None, "fixed": [0.0, 0.0], "count": 2, "scale": 1.0}
-    return told | {"bound": "clip"} | changes
+    return told | {"bound": "clip", "angles": None, "offset": None} | changes
 
 
 def test_offsets_are_scaled_and_bounded() -> None:
@@ -42,6 +42,17 @@ def test_offsets_are_scaled_and_bounded() -> None:
     near = np.tanh([20.0, -1.0])
     found = computed(program, 1.0, 4.0, 3.0, 3.9)
     assert found == pytest.approx([*near, 2.0, 3.0, -1.0, 1.55, 3.0], abs=ROUNDING)
+
+
+def test_an_offset_may_be_told_from_a_point_of_what_is_turned() -> None:
+    point = {"from": 3, "fixed": None, "angles": 6, "offset": [0.0, 2.0, 0.5], "count": 3}
+    # Turned about z by 90°, y is -x.
+    x = [1.0, 1.0, 1.0, 0.5, 0.25, 0.125, 0.0, 0.0, np.pi / 2]
+    wanted = [1.0 - 0.5 + 2.0, 1.0 - 0.25, 1.0 - 0.125 - 0.5]
+    plain = offset(0, count=3, fixed=[1.0, 0.0, 0.0])
+    program = [plain, offset(0, **point), offset(0, **point, scale=2.0)]
+    found = computed(program, *x)
+    assert found == pytest.approx([0, 1, 1, *wanted, *np.divide(wanted, 2)], abs=ROUNDING)
 
 
 def test_rotations_are_two_columns_as_seen_from_another_frame() -> None:

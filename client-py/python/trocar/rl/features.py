@@ -32,17 +32,23 @@ Part = Mapping[str, Any]
 
 
 class Relative(nn.Module):
-    """Features of rows x by a program, which :attr:`TaskSpec.relative_program` describes.
+    """Features of rows x by a program, which :attr:`trocar.TaskSpec.relative_program` describes.
 
     A row x is the state, the achieved and the desired goal. Parts of the same kind are computed
     together, and then put into the order of the program.
+
+    Attributes:
+        size: How many features there are.
     """
 
     end: torch.Tensor
     start: torch.Tensor
+    shift: torch.Tensor
     fixed: torch.Tensor
     scale: torch.Tensor
     angles: torch.Tensor
+    levers: torch.Tensor
+    carriers: torch.Tensor
     turned: torch.Tensor
     seen_from: torch.Tensor
     firsts: torch.Tensor
@@ -62,60 +68,84 @@ class Relative(nn.Module):
             places[kind] += range(self.size, self.size + count)
             self.size += count
         self._clipped = len(places["clip"])
-        # Whatever is missing (an origin, a frame) is a column of zeros after those of x.
-        steps = [
-            (part, step) for part in kinds["clip"] + kinds["tanh"] for step in range(part["count"])
-        ]
-        self._index("end", [part["to"] + step for part, step in steps])
-        origins = [(part["from"], step) for part, step in steps]
-        self._index(
-            "start", [width if origin is None else origin + step for origin, step in origins]
-        )
-        fixed = [0.0 if part["fixed"] is None else part["fixed"][step] for part, step in steps]
-        self.register_buffer("fixed", torch.tensor(fixed), persistent=False)
-        scale = torch.tensor([float(part["scale"]) for part, _ in steps])
-        self.register_buffer("scale", scale, persistent=False)
-        pairs = [(part["of"], part["seen_from"]) for part in kinds["rotation"] + kinds["axis"]]
-        frames = list(dict.fromkeys(frame for pair in pairs for frame in pair))
-        self._pairs, self._frames = len(pairs), len(frames)
-        columns = [
-            [width] * 3 if frame is None else [frame + k for k in range(3)] for frame in frames
-        ]
-        self._index("angles", [column for each in columns for column in each])
+        self._index("order", np.argsort([place for each in places.values() for place in each]))
+        offsets, rotations, axes = kinds["clip"] + kinds["tanh"], kinds["rotation"], kinds["axis"]
+        frames = self._turns_of(rotations, axes)
+        points = [(part["angles"], part["offset"]) for part in offsets]
+        frames += [angles for angles, _ in points if angles is not None and angles not in frames]
+        self._frames_of(frames, width)
+        self._index("carriers", [frames.index(at) for at, _ in points if at is not None])
+        levers = [offset for angles, offset in points if angles is not None]
+        self._numbers("levers", np.reshape(levers, (-1, 1, 3)))
+        self._offsets_of(offsets, width)
+
+    def _offsets_of(self, offsets: list[Part], width: int) -> None:
+        end, start, shift, fixed, scale = [], [], [], [], []
+        # Whatever is missing is the column of zeros after those of x; points follow it.
+        zero, point = width, width + 1
+        for part in offsets:
+            for step in range(part["count"]):
+                end.append(part["to"] + step)
+                start.append(zero if part["from"] is None else part["from"] + step)
+                shift.append(zero if part["angles"] is None else point + step)
+                fixed.append(0.0 if part["fixed"] is None else part["fixed"][step])
+                scale.append(part["scale"])
+            point += 0 if part["angles"] is None else 3
+        for name, places in (("end", end), ("start", start), ("shift", shift)):
+            self._index(name, places)
+        self._numbers("fixed", fixed)
+        self._numbers("scale", scale)
+
+    def _turns_of(self, rotations: list[Part], axes: list[Part]) -> list[int | None]:
+        """The frames in which something is turned; ``None`` is that of the scene."""
+        pairs = [(part["of"], part["seen_from"]) for part in rotations + axes]
+        frames: list[int | None] = list(dict.fromkeys(frame for pair in pairs for frame in pair))
+        self._turned = len(pairs)
         self._index("turned", [frames.index(turned) for turned, _ in pairs])
         self._index("seen_from", [frames.index(seen_from) for _, seen_from in pairs])
-        rotations = len(kinds["rotation"])
-        self._index("firsts", [3 * row + axis for row in range(rotations) for axis in range(2)])
-        axes = [part["axis"] for part in kinds["axis"]]
-        self._index("alone", [3 * (rotations + row) + axis for row, axis in enumerate(axes)])
-        self._index(
-            "order", np.argsort([place for each in places.values() for place in each]).tolist()
-        )
+        self._index("firsts", [3 * row + axis for row in range(len(rotations)) for axis in (0, 1)])
+        alone = [3 * (len(rotations) + row) + part["axis"] for row, part in enumerate(axes)]
+        self._index("alone", alone)
+        return frames
 
-    def _index(self, name: str, numbers: Sequence[int]) -> None:
+    def _frames_of(self, frames: list[int | None], width: int) -> None:
+        columns = [[width] * 3 if at is None else [at, at + 1, at + 2] for at in frames]
+        self._frames = len(frames)
+        self._index("angles", [column for each in columns for column in each])
+
+    def _index(self, name: str, numbers: Any) -> None:
         self.register_buffer(name, torch.tensor(numbers, dtype=torch.int64), persistent=False)
+
+    def _numbers(self, name: str, numbers: Any) -> None:
+        self.register_buffer(name, torch.tensor(numbers, dtype=torch.float32), persistent=False)
 
     def forward(self, x: torch.Tensor) -> torch.Tensor:
         """Features of shape (rows, :attr:`size`)."""
         x = torch.cat([x, x[:, :1] * 0.0], 1)
-        offsets = x.index_select(1, self.end) - x.index_select(1, self.start) - self.fixed
-        offsets = offsets / self.scale
-        clipped = offsets[:, : self._clipped].clamp(-LARGEST, LARGEST)
-        parts = [clipped, offsets[:, self._clipped :].tanh()]
-        if self._pairs:
-            parts += self._turns(x)
+        turns = []
+        if self._frames:
+            axes = _axes(x.index_select(1, self.angles).reshape(-1, self._frames, 3))
+            if self._turned:
+                turns = self._turns(axes)
+            if len(self.levers):
+                x = torch.cat(
+                    [x, (self.levers @ axes.index_select(1, self.carriers)).flatten(1)], 1
+                )
+        start = x.index_select(1, self.start) + x.index_select(1, self.shift) + self.fixed
+        offsets = (x.index_select(1, self.end) - start) / self.scale
+        near = offsets[:, : self._clipped].clamp(-LARGEST, LARGEST)
+        parts = [near, offsets[:, self._clipped :].tanh(), *turns]
         return torch.cat(parts, 1).index_select(1, self.order)
 
-    def _turns(self, x: torch.Tensor) -> list[torch.Tensor]:
-        """All rotations, then all axes."""
-        axes = _axes(x.index_select(1, self.angles).reshape(-1, self._frames, 3))
-        # Rows of a frame are its axes, so those of a product are one's axes as seen from the other.
+    def _turns(self, axes: torch.Tensor) -> list[torch.Tensor]:
+        """All rotations, then all single axes, of frames whose rows are their axes."""
+        # Rows of a product are one frame's axes as seen from the other.
         seen_from = axes.index_select(1, self.seen_from).transpose(2, 3)
-        relative = axes.index_select(1, self.turned) @ seen_from
-        relative = relative.reshape(-1, 3 * self._pairs, 3)
-        dx, dy, dz = relative.index_select(1, self.alone).unbind(2)
+        seen = axes.index_select(1, self.turned) @ seen_from
+        seen = seen.reshape(-1, 3 * self._turned, 3)
+        dx, dy, dz = seen.index_select(1, self.alone).unbind(2)
         products = [2 * dx * dy, 2 * dy * dz, 2 * dx * dz, dx * dx - dy * dy, dy * dy - dz * dz]
-        firsts = relative.index_select(1, self.firsts)
+        firsts = seen.index_select(1, self.firsts)
         return [firsts.flatten(1), torch.stack(products, 2).flatten(1)]
 
 
@@ -212,6 +242,6 @@ class BatchInputs:
 def _described(spec: trocar.TaskSpec) -> tuple[dict[str, int], list[Part]]:
     """How many numbers each word means in a task, and what computes its relative features."""
     goal = len(spec.goal or [])
-    contact = sum(element.name.startswith("contact") for element in spec.observation)
+    contact = sum("finger " in element.name for element in spec.observation)
     sizes = {STATE: len(spec.observation) - contact, **dict.fromkeys(GOALS, goal)}
     return sizes | {RELATIVE: len(spec.relative), CONTACT: contact}, list(spec.relative_program)
