@@ -6,11 +6,13 @@ Needs the extra ``trocar[rl]``.
 from __future__ import annotations
 
 import numpy as np
+import torch
 
 import trocar
 from trocar.rl import Cloning, load, play
 from trocar.rl.demonstrations import expert
 
+torch.set_num_threads(1)  # networks this small need no more
 with trocar.Server() as server:
     # Any field of a configuration may be another; `python -m trocar.rl configs` shows all of them.
     config = load("NeedleReach", "bc").but(demos=50, clone_updates=1500, envs=20, epoch_episodes=20)

@@ -180,11 +180,11 @@ def test_half_of_a_batch_is_shown(learner: Td3Demo) -> None:
 
 
 def test_cloning_learns_from_demonstrations_alone(tmp_path: Path, server: str) -> None:
-    few = {"demos": 50, "clone_updates": 1500, "hidden": [64, 64], "eval_episodes": 20}
+    few = {"demos": 100, "clone_updates": 3000, "hidden": [128, 128], "eval_episodes": 20}
     run = train(config("bc", **few), 0, out=tmp_path, server=server, say=quietly)
     (row,) = run.rows()
     assert row["success"] >= 0.7
-    assert (row["steps"], row["updates"]) == (0, 1500)
+    assert (row["steps"], row["updates"]) == (0, 3000)
     assert row["clone_loss"] < 0.05
 
 

@@ -71,26 +71,26 @@ class Relative(nn.Module):
         self._index("order", np.argsort([place for each in places.values() for place in each]))
         offsets, rotations, axes = kinds["clip"] + kinds["tanh"], kinds["rotation"], kinds["axis"]
         frames = self._turns_of(rotations, axes)
-        points = [(part["angles"], part["offset"]) for part in offsets]
-        frames += [angles for angles, _ in points if angles is not None and angles not in frames]
+        points = list(dict.fromkeys(_point(part) for part in offsets if part["angles"] is not None))
+        carriers = [angles for angles, *_ in points]
+        frames += [angles for angles in dict.fromkeys(carriers) if angles not in frames]
         self._frames_of(frames, width)
-        self._index("carriers", [frames.index(at) for at, _ in points if at is not None])
-        levers = [offset for angles, offset in points if angles is not None]
-        self._numbers("levers", np.reshape(levers, (-1, 1, 3)))
-        self._offsets_of(offsets, width)
+        self._points = len(points)
+        self._index("carriers", [frames.index(angles) for angles in carriers])
+        self._numbers("levers", np.reshape([lever for _, *lever in points], (-1, 1, 3)))
+        self._offsets_of(offsets, points, width)
 
-    def _offsets_of(self, offsets: list[Part], width: int) -> None:
+    def _offsets_of(self, offsets: list[Part], points: list[Any], width: int) -> None:
         end, start, shift, fixed, scale = [], [], [], [], []
-        # Whatever is missing is the column of zeros after those of x; points follow it.
-        zero, point = width, width + 1
         for part in offsets:
+            point = None if part["angles"] is None else width + 1 + 3 * points.index(_point(part))
             for step in range(part["count"]):
                 end.append(part["to"] + step)
-                start.append(zero if part["from"] is None else part["from"] + step)
-                shift.append(zero if part["angles"] is None else point + step)
+                # Whatever is missing is the column of zeros after those of x; points follow it.
+                start.append(width if part["from"] is None else part["from"] + step)
+                shift.append(width if point is None else point + step)
                 fixed.append(0.0 if part["fixed"] is None else part["fixed"][step])
                 scale.append(part["scale"])
-            point += 0 if part["angles"] is None else 3
         for name, places in (("end", end), ("start", start), ("shift", shift)):
             self._index(name, places)
         self._numbers("fixed", fixed)
@@ -127,12 +127,13 @@ class Relative(nn.Module):
             axes = _axes(x.index_select(1, self.angles).reshape(-1, self._frames, 3))
             if self._turned:
                 turns = self._turns(axes)
-            if len(self.levers):
+            if self._points:
                 x = torch.cat(
                     [x, (self.levers @ axes.index_select(1, self.carriers)).flatten(1)], 1
                 )
-        start = x.index_select(1, self.start) + x.index_select(1, self.shift) + self.fixed
-        offsets = (x.index_select(1, self.end) - start) / self.scale
+        # Places less places first: what is near is told to a fraction of a micrometre.
+        offsets = x.index_select(1, self.end) - x.index_select(1, self.start) - self.fixed
+        offsets = (offsets - x.index_select(1, self.shift)) / self.scale
         near = offsets[:, : self._clipped].clamp(-LARGEST, LARGEST)
         parts = [near, offsets[:, self._clipped :].tanh(), *turns]
         return torch.cat(parts, 1).index_select(1, self.order)
@@ -147,6 +148,11 @@ class Relative(nn.Module):
         products = [2 * dx * dy, 2 * dy * dz, 2 * dx * dz, dx * dx - dy * dy, dy * dy - dz * dz]
         firsts = seen.index_select(1, self.firsts)
         return [firsts.flatten(1), torch.stack(products, 2).flatten(1)]
+
+
+def _point(part: Part) -> tuple[Any, ...]:
+    """The angles of what carries an offset's origin, and where that is in its axes."""
+    return (part["angles"], *part["offset"])
 
 
 def _axes(angles: torch.Tensor) -> torch.Tensor:
