@@ -27,32 +27,45 @@ def computed(program: Sequence[dict[str, Any]], *x: float) -> NDArray[Any]:
     return values
 
 
-def offset(to: int, **changes: Any) -> dict[str, Any]:
-    told = {"kind": "offset", "to": to, "from": None, "fixed": [0.0, 0.0], "count": 2, "scale": 1.0}
-    return told | {"bound": "clip", "angles": None, "offset": None} | changes
+def offset(to: dict[str, Any], start: dict[str, Any], **changes: Any) -> dict[str, Any]:
+    told = {"kind": "offset", "to": to, "from": start, "count": 2, "scale": 1.0}
+    return told | {"bound": "clip"} | changes
+
+
+def at(number: int) -> dict[str, Any]:
+    return {"at": number}
+
+
+def fixed(*numbers: float) -> dict[str, Any]:
+    return {"fixed": [*numbers, 0.0, 0.0, 0.0][:3]}
 
 
 def test_offsets_are_scaled_and_bounded() -> None:
     program = [
-        offset(2, **{"from": 0, "fixed": None, "scale": 0.1, "bound": "tanh"}),
-        offset(0, scale=0.5),
-        offset(2, fixed=[1.0, 7.0], scale=-2.0),
-        offset(1, count=1, fixed=[0.5]),
+        offset(at(2), at(0), scale=0.1, bound="tanh"),
+        offset(at(0), fixed(), scale=0.5),
+        offset(at(2), fixed(1.0, 7.0), scale=-2.0),
+        offset(at(1), fixed(0.5), count=1),
     ]
     near = np.tanh([20.0, -1.0])
     found = computed(program, 1.0, 4.0, 3.0, 3.9)
     assert found == pytest.approx([*near, 2.0, 3.0, -1.0, 1.55, 3.0], abs=ROUNDING)
 
 
-def test_an_offset_may_be_told_from_a_point_of_what_is_turned() -> None:
-    point = {"from": 3, "fixed": None, "angles": 6, "offset": [0.0, 2.0, 0.5], "count": 3}
+def test_an_offset_may_be_told_between_points_of_what_is_turned() -> None:
+    point = {"at": 3, "angles": 6, "offset": [0.0, 2.0, 0.5]}
     # Turned about z by 90°, y is -x.
     x = [1.0, 1.0, 1.0, 0.5, 0.25, 0.125, 0.0, 0.0, np.pi / 2]
-    wanted = [1.0 - 0.5 + 2.0, 1.0 - 0.25, 1.0 - 0.125 - 0.5]
-    plain = offset(0, count=3, fixed=[1.0, 0.0, 0.0])
-    program = [plain, offset(0, **point), offset(0, **point, scale=2.0)]
+    wanted = np.array([1.0 - 0.5 + 2.0, 1.0 - 0.25, 1.0 - 0.125 - 0.5])
+    program = [
+        offset(at(0), fixed(1.0), count=3),
+        offset(at(0), point, count=3),
+        offset(point, fixed(0.5, 0.5), count=3, scale=2.0),
+        offset(point, point, count=3),
+    ]
     found = computed(program, *x)
-    assert found == pytest.approx([0, 1, 1, *wanted, *np.divide(wanted, 2)], abs=ROUNDING)
+    other = (np.array([0.5, 0.5, 1.0]) - wanted) / 2.0
+    assert found == pytest.approx([0, 1, 1, *wanted, *other, 0, 0, 0], abs=ROUNDING)
 
 
 def test_rotations_are_two_columns_as_seen_from_another_frame() -> None:
@@ -71,15 +84,18 @@ def test_rotations_are_two_columns_as_seen_from_another_frame() -> None:
     assert seen == pytest.approx([sin, cos, 0, cos, -sin, 0], abs=1e-6)
 
 
-def test_an_axis_and_its_opposite_are_the_same() -> None:
-    program = [{"kind": "axis", "of": 3, "axis": 1, "seen_from": 0}]
+def test_a_line_has_no_direction() -> None:
+    line = {"kind": "line", "of": 3, "direction": [0.0, 1.0, 0.0], "seen_from": 0}
     frame = [0.3, -0.7, 1.1]
     # Yaw comes last, so half a turn of it takes a level frame's y to its opposite.
-    wire = computed(program, *frame, 0.0, 0.0, 0.4)
-    assert computed(program, *frame, 0.0, 0.0, 0.4 + np.pi) == pytest.approx(wire, abs=ROUNDING)
-    assert computed(program, *frame, 0.0, 0.0, 1.4) != pytest.approx(wire, abs=0.1)
+    wire = computed([line], *frame, 0.0, 0.0, 0.4)
+    assert computed([line], *frame, 0.0, 0.0, 0.4 + np.pi) == pytest.approx(wire, abs=ROUNDING)
+    assert computed([line], *frame, 0.0, 0.0, 1.4) != pytest.approx(wire, abs=0.1)
     # Seen from itself it is y: dy² is all that there is.
-    assert computed(program, *frame, *frame) == pytest.approx([0, 0, 0, -1, 1], abs=ROUNDING)
+    assert computed([line], *frame, *frame) == pytest.approx([0, 0, 0, -1, 1], abs=ROUNDING)
+    between = line | {"direction": [0.6, 0.0, 0.8]}
+    wanted = [0, 0, 2 * 0.48, 0.36, -0.64]
+    assert computed([between, line], *frame, *frame)[:5] == pytest.approx(wanted, abs=ROUNDING)
 
 
 def drawn(spec: trocar.TaskSpec, rows: int) -> list[NDArray[np.float32]]:

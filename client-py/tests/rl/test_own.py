@@ -88,7 +88,7 @@ FEATURES = 10
 def raw(server: str) -> Iterator[Td3Demo]:
     """A learner with raw inputs."""
     small = {"gamma": 0.5, "hidden": [8], "demos": 2, "demo_batch": 4, "target_noise": 0.0}
-    more = {"batch_size": 8, "inputs": ["observation", "desired_goal"], "policy_weight": 0.5}
+    more = {"batch_size": 8, "inputs": ["observation", "desired_goal"]}
     chosen = config("td3-demo", "MisOrient", **(small | more))
     made = make_learner(chosen, expert(chosen, server), 0, server=server)
     assert isinstance(made, Td3Demo)
@@ -130,7 +130,7 @@ def test_only_actions_that_are_rated_higher_are_cloned(raw: Td3Demo, q_filter: b
     cases = batch([*shown, 0.1, 0.1], [-1.0] * 6, [1.0] * 6, 4)
     _, values = raw.critic_loss(cases)
     assert values.tolist() == pytest.approx([0.5, 0.9, 0.2, -1.4, 0.1, 0.1])
-    loss, clone, passed = raw.policy_loss(cases, values)
+    loss, clone, passed = raw.policy_loss(cases, values, 0.5)
     passing = shown[:2] if q_filter else shown
     wanted = sum(abs(0.3 - action) for action in passing) / 4
     assert clone.item() == pytest.approx(wanted, rel=1e-4)
@@ -142,13 +142,13 @@ def test_networks_follow_each_at_its_pace(raw: Td3Demo) -> None:
     for name, value in (("tau", 0.25), ("averaging", 0.5), ("policy_every", 2)):
         object.__setattr__(raw.config, name, value)
     before = {name: list(map(torch.clone, getattr(raw, name).parameters())) for name in FOLLOWS}
-    raw.update(policy_too=True)
+    raw.update(1.0)
     for name, source, part in (("target_critics", "critics", 0.25), ("target", "policy", 0.0)):
         check_followed(raw, before, name, source, part)
-    raw.update(policy_too=False)
+    raw.update()
     check_followed(raw, before, "averaged", "policy", 0.0)
-    raw.update(policy_too=True)
-    raw.update(policy_too=True)
+    raw.update(1.0)
+    raw.update(1.0)
     check_followed(raw, before, "averaged", "policy", 0.5)
     check_followed(raw, before, "target", "policy", 0.25)
     assert raw.acting is raw.averaged
@@ -163,6 +163,16 @@ def check_followed(learner: Td3Demo, before: Any, name: str, source: str, part: 
         before[name], now, getattr(learner, name).parameters(), strict=True
     ):
         assert torch.allclose(moved, old + part * (weights - old), atol=1e-6)
+
+
+def test_critics_count_ever_more(raw: Td3Demo) -> None:
+    found = []
+    for name, value in (("warm_up", 20), ("ramp", 40), ("policy_weight", 0.5)):
+        object.__setattr__(raw.config, name, value)
+    for count in (0, 10, 20, 40, 50, 500):
+        raw.replay.count = count
+        found.append(raw.weight())
+    assert found == pytest.approx([0.0, 0.0, 0.125, 0.375, 0.5, 0.5])
 
 
 def test_half_of_a_batch_is_shown(learner: Td3Demo) -> None:

@@ -44,7 +44,15 @@ _PARTS = {
     ("her-demo", *_TD3): ("policy_weight",),
     ("her-demo", "td3-demo"): ("demo_batch", "clone_weight", "q_filter"),
     ("her-demo",): ("curriculum", "curriculum_success"),
-    _TD3: ("hindsight", "warm_up", "target_noise", "policy_every", "averaging", "critic_updates"),
+    _TD3: (
+        "hindsight",
+        "warm_up",
+        "ramp",
+        "target_noise",
+        "policy_every",
+        "averaging",
+        "critic_updates",
+    ),
     ("td3-demo",): ("demo_hindsight",),
     _CLONING: ("clone_updates", "clone_rate"),
     ("ppo",): ("passes", "gae_lambda", "clip_range"),
@@ -141,6 +149,8 @@ class Config:
     """The same part, of demonstrated transitions."""
     warm_up: int = 0
     """Episodes that are played before the policy begins to follow the critics."""
+    ramp: int = 0
+    """Episodes after that in which ``policy_weight`` grows to what it is."""
     target_noise: float = 0.0
     """Standard deviation of the noise on actions of targets, cut off at twice as much."""
     policy_every: int = 1

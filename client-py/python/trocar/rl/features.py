@@ -42,76 +42,66 @@ class Relative(nn.Module):
     """
 
     end: torch.Tensor
+    end_point: torch.Tensor
     start: torch.Tensor
-    shift: torch.Tensor
+    start_point: torch.Tensor
     fixed: torch.Tensor
     scale: torch.Tensor
     angles: torch.Tensor
-    levers: torch.Tensor
     carriers: torch.Tensor
+    levers: torch.Tensor
     turned: torch.Tensor
     seen_from: torch.Tensor
-    firsts: torch.Tensor
-    alone: torch.Tensor
+    rotations: torch.Tensor
+    lines: torch.Tensor
+    directions: torch.Tensor
     order: torch.Tensor
 
     def __init__(self, program: Sequence[Part], width: int) -> None:
         """Of a program for rows of ``width`` numbers."""
         super().__init__()
-        kinds: dict[str, list[Part]] = {"clip": [], "tanh": [], "rotation": [], "axis": []}
+        kinds: dict[str, list[Part]] = {"clip": [], "tanh": [], "rotation": [], "line": []}
         places: dict[str, list[int]] = {kind: [] for kind in kinds}
         self.size = 0
         for part in program:
             kind = part.get("bound", part["kind"])
-            count = {"rotation": 6, "axis": 5}.get(kind) or int(part["count"])
+            count = {"rotation": 6, "line": 5}.get(kind) or int(part["count"])
             kinds[kind].append(part)
             places[kind] += range(self.size, self.size + count)
             self.size += count
         self._clipped = len(places["clip"])
         self._index("order", np.argsort([place for each in places.values() for place in each]))
-        offsets, rotations, axes = kinds["clip"] + kinds["tanh"], kinds["rotation"], kinds["axis"]
-        frames = self._turns_of(rotations, axes)
-        points = list(dict.fromkeys(_point(part) for part in offsets if part["angles"] is not None))
-        carriers = [angles for angles, *_ in points]
-        frames += [angles for angles in dict.fromkeys(carriers) if angles not in frames]
-        self._frames_of(frames, width)
-        self._points = len(points)
-        self._index("carriers", [frames.index(angles) for angles in carriers])
-        self._numbers("levers", np.reshape([lever for _, *lever in points], (-1, 1, 3)))
-        self._offsets_of(offsets, points, width)
-
-    def _offsets_of(self, offsets: list[Part], points: list[Any], width: int) -> None:
-        end, start, shift, fixed, scale = [], [], [], [], []
-        for part in offsets:
-            point = None if part["angles"] is None else width + 1 + 3 * points.index(_point(part))
-            for step in range(part["count"]):
-                end.append(part["to"] + step)
-                # Whatever is missing is the column of zeros after those of x; points follow it.
-                start.append(width if part["from"] is None else part["from"] + step)
-                shift.append(width if point is None else point + step)
-                fixed.append(0.0 if part["fixed"] is None else part["fixed"][step])
-                scale.append(part["scale"])
-        for name, places in (("end", end), ("start", start), ("shift", shift)):
-            self._index(name, places)
-        self._numbers("fixed", fixed)
-        self._numbers("scale", scale)
-
-    def _turns_of(self, rotations: list[Part], axes: list[Part]) -> list[int | None]:
-        """The frames in which something is turned; ``None`` is that of the scene."""
-        pairs = [(part["of"], part["seen_from"]) for part in rotations + axes]
-        frames: list[int | None] = list(dict.fromkeys(frame for pair in pairs for frame in pair))
-        self._turned = len(pairs)
-        self._index("turned", [frames.index(turned) for turned, _ in pairs])
-        self._index("seen_from", [frames.index(seen_from) for _, seen_from in pairs])
-        self._index("firsts", [3 * row + axis for row in range(len(rotations)) for axis in (0, 1)])
-        alone = [3 * (len(rotations) + row) + part["axis"] for row, part in enumerate(axes)]
-        self._index("alone", alone)
-        return frames
-
-    def _frames_of(self, frames: list[int | None], width: int) -> None:
+        offsets, turns = kinds["clip"] + kinds["tanh"], kinds["rotation"] + kinds["line"]
+        ends = [part[end] for part in offsets for end in ("to", "from")]
+        points = list(dict.fromkeys(_point(place) for place in ends if "angles" in place))
+        frames = [part[frame] for part in turns for frame in ("of", "seen_from")]
+        frames = list(dict.fromkeys([*frames, *(angles for angles, *_ in points)]))
+        # Whatever is missing is the column of zeros after those of x; points follow it.
         columns = [[width] * 3 if at is None else [at, at + 1, at + 2] for at in frames]
-        self._frames = len(frames)
         self._index("angles", [column for each in columns for column in each])
+        self._frames, self._turns, self._points = len(frames), len(turns), len(points)
+        self._index("carriers", [frames.index(angles) for angles, *_ in points])
+        self._numbers("levers", np.reshape([lever for _, *lever in points], (-1, 1, 3)))
+        self._index("turned", [frames.index(part["of"]) for part in turns])
+        self._index("seen_from", [frames.index(part["seen_from"]) for part in turns])
+        self._index("rotations", range(len(kinds["rotation"])))
+        self._index("lines", range(len(kinds["rotation"]), len(turns)))
+        directions = [part["direction"] for part in kinds["line"]]
+        self._numbers("directions", np.reshape(directions, (-1, 1, 3)))
+        for name, end in (("end", "to"), ("start", "from")):
+            told = [(part[end], step) for part in offsets for step in range(part["count"])]
+            self._index(
+                name, [place["at"] + step if "at" in place else width for place, step in told]
+            )
+            beyond = [
+                width + 1 + 3 * points.index(_point(place)) + step if "angles" in place else width
+                for place, step in told
+            ]
+            self._index(f"{name}_point", beyond)
+        steps = [(part, step) for part in offsets for step in range(part["count"])]
+        fixed = [_fixed(part["to"], step) - _fixed(part["from"], step) for part, step in steps]
+        self._numbers("fixed", fixed)
+        self._numbers("scale", [part["scale"] for part, _ in steps])
 
     def _index(self, name: str, numbers: Any) -> None:
         self.register_buffer(name, torch.tensor(numbers, dtype=torch.int64), persistent=False)
@@ -125,34 +115,38 @@ class Relative(nn.Module):
         turns = []
         if self._frames:
             axes = _axes(x.index_select(1, self.angles).reshape(-1, self._frames, 3))
-            if self._turned:
-                turns = self._turns(axes)
+            if self._turns:
+                turns = self._turned(axes)
             if self._points:
-                x = torch.cat(
-                    [x, (self.levers @ axes.index_select(1, self.carriers)).flatten(1)], 1
-                )
-        # Places less places first: what is near is told to a fraction of a micrometre.
-        offsets = x.index_select(1, self.end) - x.index_select(1, self.start) - self.fixed
-        offsets = (offsets - x.index_select(1, self.shift)) / self.scale
+                points = self.levers @ axes.index_select(1, self.carriers)
+                x = torch.cat([x, points.flatten(1)], 1)
+        # Numbers of x first: what is near each other is then told to a fraction of a micrometre.
+        offsets = x.index_select(1, self.end) - x.index_select(1, self.start) + self.fixed
+        beyond = x.index_select(1, self.end_point) - x.index_select(1, self.start_point)
+        offsets = (offsets + beyond) / self.scale
         near = offsets[:, : self._clipped].clamp(-LARGEST, LARGEST)
         parts = [near, offsets[:, self._clipped :].tanh(), *turns]
         return torch.cat(parts, 1).index_select(1, self.order)
 
-    def _turns(self, axes: torch.Tensor) -> list[torch.Tensor]:
-        """All rotations, then all single axes, of frames whose rows are their axes."""
+    def _turned(self, axes: torch.Tensor) -> list[torch.Tensor]:
+        """All rotations, then all lines, of frames whose rows are their axes."""
         # Rows of a product are one frame's axes as seen from the other.
         seen_from = axes.index_select(1, self.seen_from).transpose(2, 3)
         seen = axes.index_select(1, self.turned) @ seen_from
-        seen = seen.reshape(-1, 3 * self._turned, 3)
-        dx, dy, dz = seen.index_select(1, self.alone).unbind(2)
+        rotations = seen.index_select(1, self.rotations)[:, :, :2].flatten(1)
+        lines = (self.directions @ seen.index_select(1, self.lines)).squeeze(2)
+        dx, dy, dz = lines.unbind(2)
         products = [2 * dx * dy, 2 * dy * dz, 2 * dx * dz, dx * dx - dy * dy, dy * dy - dz * dz]
-        firsts = seen.index_select(1, self.firsts)
-        return [firsts.flatten(1), torch.stack(products, 2).flatten(1)]
+        return [rotations, torch.stack(products, 2).flatten(1)]
 
 
-def _point(part: Part) -> tuple[Any, ...]:
-    """The angles of what carries an offset's origin, and where that is in its axes."""
-    return (part["angles"], *part["offset"])
+def _point(place: Part) -> tuple[Any, ...]:
+    """The angles of what carries a place, and where that is in its axes."""
+    return (place["angles"], *place["offset"])
+
+
+def _fixed(place: Part, step: int) -> float:
+    return float(place["fixed"][step]) if "fixed" in place else 0.0
 
 
 def _axes(angles: torch.Tensor) -> torch.Tensor:

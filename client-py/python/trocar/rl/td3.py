@@ -101,7 +101,7 @@ class Td3Demo(Own):
             self.note(clone_loss=float(np.mean(losses[-100:])))
         self._copy()
         for update in range(config.critic_updates):
-            self.update(policy_too=False)
+            self.update()
             if update % 100 == 0:
                 live(0.5 + 0.5 * update / config.critic_updates)
 
@@ -111,10 +111,17 @@ class Td3Demo(Own):
         for number in range(rounds):
             # One for the episode of each environment, so that some hardly stray and others do.
             noise = 2 * self.config.noise * self.random.random((self.config.envs, 1))
-            follows = self.replay.count >= self.config.warm_up
-            act, meanwhile = partial(self._explore, noise), partial(self._train, follows)
+            act, meanwhile = partial(self._explore, noise), partial(self._train, self.weight())
             self._take(play(self.envs, act, self.seeds(), meanwhile=meanwhile))
             live((number + 1) / rounds)
+
+    def weight(self) -> float:
+        """Of the critics' value for the policy: none while they warm up, then ever more."""
+        config = self.config
+        since = self.replay.count - config.warm_up
+        if since < 0:
+            return 0.0
+        return config.policy_weight * min(1.0, (since + config.envs) / max(1, config.ramp))
 
     def _take(self, played: Episodes) -> None:
         self.replay.add(played)
@@ -132,11 +139,11 @@ class Td3Demo(Own):
         shape = len(seen.envs), len(self.envs.task_spec.action)
         return self.random.uniform(-1.0, 1.0, shape).astype(np.float32)
 
-    def _train(self, follows: bool, time: int) -> None:
-        """Trains after a step of each environment; the policy too, if it follows the critics."""
+    def _train(self, weight: float, time: int) -> None:
+        """Trains after a step of each environment."""
         if time % self.config.train_every == 0:
             for _ in range(self.config.updates):
-                self.update(policy_too=follows)
+                self.update(weight)
 
     def batch(self) -> Batch:
         """Draws a batch: of demonstrations, and of what was played if anything was."""
@@ -162,8 +169,8 @@ class Td3Demo(Own):
         before, after = self.features(*both).chunk(2)
         return before, after
 
-    def update(self, *, policy_too: bool) -> None:
-        """Trains critics on a batch; every so many times also the policy, if it is its time."""
+    def update(self, weight: float = 0.0) -> None:
+        """Trains critics on a batch, and every so many times the policy, unless ``weight`` is 0."""
         self.updates += 1
         batch = self.batch()
         loss, values = self.critic_loss(batch)
@@ -172,12 +179,12 @@ class Td3Demo(Own):
         self.critic_optimizer.step()
         _follow(self.target_critics, self.critics, self.config.tau)
         self.note(critic_loss=loss.item())
-        if policy_too and self.updates % self.config.policy_every == 0:
-            loss, clone_loss, passed = self.policy_loss(batch, values)
-            weights = list(self.policy.parameters())
+        if weight > 0.0 and self.updates % self.config.policy_every == 0:
+            loss, clone_loss, passed = self.policy_loss(batch, values, weight)
+            trained = list(self.policy.parameters())
             # The critics' own gradients would be computed for nothing.
-            for weight, gradient in zip(weights, torch.autograd.grad(loss, weights), strict=True):
-                weight.grad = gradient
+            for parameter, slope in zip(trained, torch.autograd.grad(loss, trained), strict=True):
+                parameter.grad = slope
             self.optimizer.step()
             _follow(self.target, self.policy, self.config.tau)
             _follow(self.averaged, self.policy, self.config.averaging)
@@ -201,18 +208,19 @@ class Td3Demo(Own):
         return loss, values.detach().amin(0)
 
     def policy_loss(
-        self, batch: Batch, values: torch.Tensor
+        self, batch: Batch, values: torch.Tensor, weight: float
     ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
         """What the policy minimises, its part from cloning, and what part of that passes.
 
         Args:
             batch: Some transitions.
             values: Of the actions in it.
+            weight: Of the value of its own actions.
         """
         config, shown = self.config, batch.shown
         action = self.policy(batch.features)
         own = self.critics(batch.features, action).amin(0)
-        loss = -config.policy_weight * own.mean()
+        loss = -weight * own.mean()
         nothing = torch.zeros(())
         if shown == 0:
             return loss, nothing, nothing
