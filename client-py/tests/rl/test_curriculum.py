@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from trocar.rl import Config, load, train
+from trocar.rl import Config, Td3Demo, load, make_learner, train
 from trocar.rl.curriculum import COUNTED, CurriculumVecEnv
 from trocar.rl.demonstrations import expert
 from trocar.rl.episodes import Episodes
@@ -40,13 +40,13 @@ def envs(server: str, demos: Episodes) -> Iterator[CurriculumVecEnv]:
 
 
 def test_episodes_go_on_as_the_demonstrations_did(envs: CurriculumVecEnv, demos: Episodes) -> None:
-    assert [len(states) for states in envs.ways] == [0, *[DEMOS] * (LEVELS - 1)]
+    assert [len(states) for states in envs.curriculum.ways] == [0, *[DEMOS] * (LEVELS - 1)]
     for number in range(DEMOS):
         (failing,) = np.nonzero(~demos.success[number])
         length = failing[-1] + 1
         assert 3 <= length < 50
         for level in range(1, LEVELS):
-            now: Any = envs.envs.restore(envs.ways[level][number], [1])
+            now: Any = envs.envs.restore(envs.curriculum.ways[level][number], [1])
             begun = round(length * level / LEVELS)
             for step in range(begun, length):
                 assert (now["observation"][1] == demos.observation[number, step]).all()
@@ -73,15 +73,15 @@ def lengths(
 
 
 def test_they_begin_earlier_when_enough_succeed(envs: CurriculumVecEnv) -> None:
-    assert envs.level == LEVELS - 1
+    assert envs.curriculum.level == LEVELS - 1
     # Who does nothing never succeeds, and goes on beginning near the end.
     idle = lengths(envs, 2000, lambda _: np.zeros((2, 1), np.float32))
-    assert envs.level == LEVELS - 1
+    assert envs.curriculum.level == LEVELS - 1
     assert {level for level, _ in idle[2:]} == {LEVELS - 1}
     assert all((length == 50) == (level == 0) for level, length in idle)
     # The expert, who acts a step late here, does.
     expert = lengths(envs, 4000, lambda infos: np.stack([info["expert_action"] for info in infos]))
-    assert envs.level == 0
+    assert envs.curriculum.level == 0
     for level in range(1, LEVELS):
         # As many as count, and those that were under way when the last of them was.
         at_least = [begun for begun, _ in expert if begun >= level]
@@ -91,26 +91,69 @@ def test_they_begin_earlier_when_enough_succeed(envs: CurriculumVecEnv) -> None:
     assert {1, 2} <= {*late}
 
 
-def test_a_run_is_the_same_again_and_after_an_interruption(tmp_path: Path, server: str) -> None:
-    class Stop(Exception):
-        pass
+class Stop(Exception):
+    pass
 
-    def stop(line: str) -> None:
-        if "epoch   2" in line:
-            raise Stop
 
-    def curve(out: str, say: Callable[[str], Any]) -> list[dict[str, float]]:
-        run = train(moves, 1, out=tmp_path / out, server=server, resume=True, say=say)
-        rows = run.rows()
-        return [{name: row[name] for name in row if not name.endswith("_s")} for row in rows]
+def stop(line: str) -> None:
+    if "epoch   2" in line:
+        raise Stop
 
-    # It begins earlier whatever the policy does.
-    moves = config(curriculum_success=0.01, random_actions=1.0)
-    straight = curve("one", str)
+
+def curve(config: Config, out: Path, server: str, say: Callable[[str], Any]) -> Rows:
+    """The curve of a run, without the times that it took."""
+    run = train(config, 1, out=out, server=server, resume=True, say=say)
+    rows = run.rows()
+    return [{name: row[name] for name in row if not name.endswith("_s")} for row in rows]
+
+
+Rows = list[dict[str, float]]
+
+# It begins earlier whatever the policy does.
+EARLIER = {"curriculum": LEVELS, "curriculum_success": 0.01, "random_actions": 1.0}
+TD3: dict[str, Any] = {
+    **EARLIER,
+    "hidden": [16],
+    "envs": 4,
+    "epochs": 3,
+    "epoch_episodes": 40,
+    "eval_episodes": 2,
+    "demos": DEMOS,
+    "demo_batch": 8,
+    "batch_size": 16,
+    "updates": 1,
+    "warm_up": 0,
+    "clone_updates": 1,
+    "critic_updates": 1,
+}
+
+
+@pytest.mark.parametrize("moves", [config(**EARLIER), load(TASK, "td3-demo").but(**TD3)])
+def test_a_run_is_the_same_again_and_after_an_interruption(
+    moves: Config, tmp_path: Path, server: str
+) -> None:
+    straight = curve(moves, tmp_path / "one", server, str)
     assert straight[0]["level"] == LEVELS - 1 > straight[-1]["level"]
     with pytest.raises(Stop):
-        curve("two", stop)
-    assert curve("two", str) == straight
+        curve(moves, tmp_path / "two", server, stop)
+    assert curve(moves, tmp_path / "two", server, str) == straight
+
+
+def test_td3_begins_on_the_ways_of_demonstrations(server: str) -> None:
+    moves = load(TASK, "td3-demo").but(**TD3)
+    learner = make_learner(moves, expert(moves, server), 1, server=server)
+    assert isinstance(learner, Td3Demo)
+    for _ in range(3):
+        learner.learn(lambda _: None)
+    replay, demos = learner.replay, learner.demos
+    assert demos is not None
+    first = replay.observation[: len(replay), 0]
+    shown = {state.tobytes() for state in demos.observation.reshape(-1, first.shape[1])}
+    later = replay.length[: len(replay)] < 50
+    assert 10 < later.sum() < len(replay)
+    assert all(state.tobytes() in shown for state in first[later])
+    assert learner.steps == replay.steps < 50 * len(replay)
+    learner.close()
 
 
 def test_levels_that_are_none_are_refused() -> None:

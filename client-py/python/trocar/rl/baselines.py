@@ -90,7 +90,7 @@ class Baseline:
                 if f"train/{source}" in told:
                     row[name] = float(told[f"train/{source}"])
         if isinstance(self.envs, CurriculumVecEnv):
-            row["level"] = self.envs.level
+            row["level"] = self.envs.curriculum.level
         return row
 
     def save_policy(self, path: Path) -> None:

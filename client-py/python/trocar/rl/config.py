@@ -42,8 +42,9 @@ _PARTS = {
     ("her", "her-demo"): ("goals", "action_l2"),
     ("her-demo", *_CLONING): ("demos",),
     ("her-demo", *_TD3): ("policy_weight",),
-    ("her-demo", "td3-demo"): ("demo_batch", "clone_weight", "q_filter"),
-    ("her-demo",): ("curriculum", "curriculum_success"),
+    ("her-demo", "td3-demo"): (
+        *("demo_batch", "clone_weight", "q_filter", "curriculum", "curriculum_success"),
+    ),
     _TD3: (
         "hindsight",
         "warm_up",
@@ -322,16 +323,16 @@ def _check_baseline(config: Config, check: Check) -> None:
         check(config.train_every % config.steps == 0, "train_every", allowed)
     if config.algo == "her-demo":
         _check_demos(config, check)
-        allowed = f"allowed are 0, for none, and 2 to {config.steps} levels"
-        check(config.curriculum in (0, *range(2, config.steps + 1)), "curriculum", allowed)
-        allowed = "allowed are numbers above 0, up to 1"
-        check(0.0 < config.curriculum_success <= 1.0, "curriculum_success", allowed)
 
 
 def _check_demos(config: Config, check: Check) -> None:
     check(config.demos >= 1, "demos", "allowed are numbers from 1 on")
     allowed = f"allowed are numbers from 1 to {config.batch_size - 1}"
     check(1 <= config.demo_batch < config.batch_size, "demo_batch", allowed)
+    allowed = f"allowed are 0, for none, and 2 to {config.steps} levels"
+    check(config.curriculum in (0, *range(2, config.steps + 1)), "curriculum", allowed)
+    allowed = "allowed are numbers above 0, up to 1"
+    check(0.0 < config.curriculum_success <= 1.0, "curriculum_success", allowed)
 
 
 def _check_own(config: Config, check: Check) -> None:

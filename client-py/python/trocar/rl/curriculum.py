@@ -30,8 +30,8 @@ COUNTED = 20
 """Latest episodes from a level that decide whether others begin a level earlier."""
 
 
-class CurriculumVecEnv(TrocarVecEnv):
-    """Environments whose episodes begin on the ways of demonstrations.
+class Curriculum:
+    """Decides where episodes begin.
 
     At level k of n, k/n of the steps to a demonstration's success have been made. Half of the
     episodes begin at the present level, the others at that or a later one; those of level 0 begin
@@ -40,21 +40,63 @@ class CurriculumVecEnv(TrocarVecEnv):
     Attributes:
         level: The present level.
         ways: The states of each level; none of level 0.
+        random: What decides.
+    """
+
+    def __init__(
+        self, envs: TrocarVectorEnv, demos: Episodes, config: Config, random: np.random.Generator
+    ) -> None:
+        """Runs demonstrations of the same task and options again."""
+        self.level = config.curriculum - 1
+        self.ways = _ways(envs, demos, config.curriculum)
+        self.random = random
+        self._enough = config.curriculum_success
+        self._counted: deque[bool] = deque(maxlen=COUNTED)
+
+    def draw(self) -> tuple[int, Snapshot | None]:
+        """The level of an episode, and the state that it begins with; none at level 0."""
+        present = self.random.random() < 0.5
+        level = self.level if present else int(self.random.integers(self.level, len(self.ways)))
+        if level == 0:
+            return 0, None
+        states = self.ways[level]
+        return level, states[int(self.random.integers(len(states)))]
+
+    def count(self, level: int, success: bool) -> None:
+        """Lets an episode count; with enough that succeed, others begin a level earlier."""
+        if level != self.level:
+            return
+        self._counted.append(success)
+        if len(self._counted) == COUNTED and np.mean(self._counted) >= self._enough:
+            self.level = max(self.level - 1, 0)
+            self._counted.clear()
+
+    def progress(self) -> dict[str, Any]:
+        """All that decides where episodes will begin, but the generator, for a checkpoint."""
+        return {"level": self.level, "counted": list(self._counted)}
+
+    def go_on(self, progress: dict[str, Any]) -> None:
+        """Goes on from what :meth:`progress` gave."""
+        self.level = progress["level"]
+        self._counted = deque(progress["counted"], maxlen=COUNTED)
+
+
+class CurriculumVecEnv(TrocarVecEnv):
+    """Environments of Stable-Baselines3 whose episodes begin where a curriculum says.
+
+    Attributes:
+        curriculum: The curriculum.
     """
 
     def __init__(self, envs: TrocarVectorEnv, demos: Episodes, config: Config) -> None:
-        """Takes over environments, and runs demonstrations of the same task and options again."""
+        """Takes over environments."""
         super().__init__(envs)
-        self.level = config.curriculum - 1
-        self._enough = config.curriculum_success
-        self.ways = _ways(envs, demos, config.curriculum)
+        self.curriculum = Curriculum(envs, demos, config, np.random.default_rng())
         self._begun_at = np.zeros(envs.num_envs, np.int64)
-        self._counted: deque[bool] = deque(maxlen=COUNTED)
-        self._random = np.random.default_rng()
 
     def seed(self, seed: int | None = None) -> Sequence[int | None]:
         """Sets the seeds of the first episodes, and of where later ones begin."""
-        self._random = np.random.default_rng(seed)
+        self.curriculum.random = np.random.default_rng(seed)
         return super().seed(seed)
 
     def reset(self) -> Any:
@@ -67,52 +109,37 @@ class CurriculumVecEnv(TrocarVecEnv):
         observations, rewards, dones, infos = super().step_wait()
         rows = np.flatnonzero(dones)
         for row in rows.tolist():
-            self._count(row, infos[row]["is_success"])
+            self.curriculum.count(int(self._begun_at[row]), infos[row]["is_success"])
         if rows.size:
             observations = self._begin(rows)
         return observations, rewards, dones, infos
-
-    def _count(self, row: int, success: bool) -> None:
-        if self._begun_at[row] != self.level:
-            return
-        self._counted.append(success)
-        if len(self._counted) == COUNTED and np.mean(self._counted) >= self._enough:
-            self.level = max(self.level - 1, 0)
-            self._counted.clear()
 
     def _begin(self, rows: NDArray[np.int64]) -> Any:
         """Begins episodes in these environments; the latest observations of all."""
         observations: Any = None
         for row in rows.tolist():
-            present = self._random.random() < 0.5
-            level = self.level if present else self._random.integers(self.level, len(self.ways))
+            level, state = self.curriculum.draw()
             self._begun_at[row] = level
-            self.reset_infos[row] = {"level": int(level)}
-            if level == 0:
+            self.reset_infos[row] = {"level": level}
+            if state is None:
                 mask = np.arange(self.num_envs) == row
-                seeds = [int(self._random.integers(2**62)) if chosen else None for chosen in mask]
+                random = self.curriculum.random
+                seeds = [int(random.integers(2**62)) if chosen else None for chosen in mask]
                 observations, _ = self.envs.reset(seed=seeds, options={"reset_mask": mask})
             else:
-                states = self.ways[level]
-                state = states[int(self._random.integers(len(states)))]
                 observations = self.envs.restore(state, [row])
         return observations
 
     def progress(self) -> dict[str, Any]:
         """All that decides where episodes will begin, for a checkpoint."""
-        return {
-            "level": self.level,
-            "begun_at": self._begun_at.copy(),
-            "counted": list(self._counted),
-            "random": self._random.bit_generator.state,
-        }
+        told = self.curriculum.progress() | {"begun_at": self._begun_at.copy()}
+        return told | {"random": self.curriculum.random.bit_generator.state}
 
     def go_on(self, progress: dict[str, Any]) -> None:
         """Goes on from what :meth:`progress` gave."""
-        self.level = progress["level"]
+        self.curriculum.go_on(progress)
         self._begun_at[:] = progress["begun_at"]
-        self._counted = deque(progress["counted"], maxlen=COUNTED)
-        self._random.bit_generator.state = progress["random"]
+        self.curriculum.random.bit_generator.state = progress["random"]
 
 
 def _ways(envs: TrocarVectorEnv, demos: Episodes, levels: int) -> list[list[Snapshot]]:

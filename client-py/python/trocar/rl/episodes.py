@@ -190,6 +190,7 @@ def play(
     act: Act,
     seeds: Sequence[int],
     *,
+    begin: Callable[[Any], Any] = lambda observation: observation,
     meanwhile: Callable[[int], None] = lambda _: None,
 ) -> Episodes:
     """Plays an episode in each environment.
@@ -199,11 +200,14 @@ def play(
             what the expert would have done in each state.
         act: What acts.
         seeds: Of the episodes, one for each environment.
+        begin: May put environments elsewhere after they were reset, as by
+            :meth:`~trocar.TrocarVectorEnv.restore`: from the observations to those there.
         meanwhile: Called with the number of each step while the server simulates it.
     """
     played = Episodes(envs.task_spec, envs.num_envs)
     played.seed[:], played.count = seeds, envs.num_envs
     observation, infos = envs.reset(seed=list(seeds))
+    observation = begin(observation)
     running = np.arange(envs.num_envs)
     seen = Seen(running, _arrays(observation), infos)
     played.observation[:, 0], played.achieved[:, 0], played.desired[:] = seen.arrays

@@ -12,9 +12,10 @@ from numpy.typing import NDArray
 from torch.nn.functional import mse_loss
 
 from trocar.rl.config import Config
+from trocar.rl.curriculum import Curriculum
 from trocar.rl.episodes import Episodes, Seen, Transitions, play
 from trocar.rl.imitation import clone, labelled
-from trocar.rl.learner import Live, Own
+from trocar.rl.learner import Live, Own, Row
 from trocar.rl.networks import Critics, Policy
 
 CRITICS = 2
@@ -62,6 +63,10 @@ class Td3Demo(Own):
         )
         room = config.epochs * config.epoch_episodes + config.learning_starts // spec.max_steps + 1
         self.replay = Episodes(spec, min(room, max(1, config.buffer_size // spec.max_steps)))
+        self.curriculum = None
+        if demos is not None and config.curriculum:
+            self.curriculum = Curriculum(self.envs, demos, config, self.random)
+        self._begun_at: list[int] = []
         first = 0.3 * low if spec.reward == "sparse" else 0.0
         self.critics = Critics(self.policy, config.hidden, CRITICS, first)
         self._copy()
@@ -112,7 +117,8 @@ class Td3Demo(Own):
             # One for the episode of each environment, so that some hardly stray and others do.
             noise = 2 * self.config.noise * self.random.random((self.config.envs, 1))
             act, meanwhile = partial(self._explore, noise), partial(self._train, self.weight())
-            self._take(play(self.envs, act, self.seeds(), meanwhile=meanwhile))
+            begin = self._begin
+            self._take(play(self.envs, act, self.seeds(), begin=begin, meanwhile=meanwhile))
             live((number + 1) / rounds)
 
     def weight(self) -> float:
@@ -123,9 +129,24 @@ class Td3Demo(Own):
             return 0.0
         return config.policy_weight * min(1.0, (since + config.envs) / max(1, config.ramp))
 
+    def _begin(self, observation: Any) -> Any:
+        """Lets episodes begin where the curriculum says, if there is one."""
+        self._begun_at = []
+        if self.curriculum is None:
+            return observation
+        for env in range(self.envs.num_envs):
+            level, state = self.curriculum.draw()
+            self._begun_at.append(level)
+            if state is not None:
+                observation = self.envs.restore(state, [env])
+        return observation
+
     def _take(self, played: Episodes) -> None:
         self.replay.add(played)
         self.steps += played.steps
+        if self.curriculum is not None:
+            for level, success in zip(self._begun_at, played.succeeded, strict=True):
+                self.curriculum.count(level, bool(success))
 
     def _explore(self, noise: NDArray[np.float64], seen: Seen) -> NDArray[np.float32]:
         """The policy's actions with noise; a part of them is random."""
@@ -237,7 +258,15 @@ class Td3Demo(Own):
     def state(self) -> dict[str, Any]:
         """All that decides how it goes on."""
         networks = {name: network.state_dict() for name, network in self._networks().items()}
-        return super().state() | {"networks": networks, "replay": self.replay.state()}
+        told = {"networks": networks, "replay": self.replay.state()}
+        if self.curriculum is not None:
+            told["curriculum"] = self.curriculum.progress()
+        return super().state() | told
+
+    def row(self) -> Row:
+        """Steps and updates so far, mean losses since the latest row, the curriculum's level."""
+        row = super().row()
+        return row if self.curriculum is None else row | {"level": self.curriculum.level}
 
     def go_on(self, state: dict[str, Any]) -> None:
         """Goes on from what :meth:`state` gave."""
@@ -245,6 +274,8 @@ class Td3Demo(Own):
         for name, network in self._networks().items():
             network.load_state_dict(state["networks"][name])
         self.replay.go_on(state["replay"])
+        if self.curriculum is not None:
+            self.curriculum.go_on(state["curriculum"])
 
 
 def _follow(target: torch.nn.Module, source: torch.nn.Module, part: float) -> None:
