@@ -17,6 +17,9 @@ from trocar.rl.imitation import labelled
 from trocar.rl.td3 import Batch
 from trocar.sb3 import make_vec
 
+# Threads that wait for each other by turning take longer than one, on a machine that is busy.
+torch.set_num_threads(1)
+
 REACH: dict[str, Any] = {
     "hidden": [64, 64],
     "envs": 10,
