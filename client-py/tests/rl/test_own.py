@@ -80,7 +80,8 @@ def rates(critics: Critics, *slopes: float) -> None:
 def batch(actions: list[float], rewards: list[float], goes_on: list[float], shown: int) -> Batch:
     features = torch.zeros(len(actions), FEATURES)
     column = torch.tensor(actions)[:, None]
-    return Batch(features, column, torch.tensor(rewards), features, torch.tensor(goes_on), shown)
+    rest = torch.tensor(rewards), features, torch.tensor(goes_on)
+    return Batch(features, column, column, *rest, shown)
 
 
 FEATURES = 10
@@ -253,7 +254,7 @@ def test_a_saved_policy_acts_by_itself(tmp_path: Path, server: str) -> None:
 
 
 def test_demonstrations_are_the_same_from_a_data_set(tmp_path: Path, server: str) -> None:
-    chosen = config("bc", "GauzeRetrieve", demos=3)
+    chosen = config("bc", "GauzeRetrieve", demos=3, demo_noise=0.0)
     mine = expert(chosen, server)
     path = record("GauzeRetrieve-v0", episodes=3, seed=3_000_000, out=tmp_path, server=server).path
     theirs = recorded(Path(path), chosen, server)
@@ -267,3 +268,17 @@ def test_every_step_of_demonstrations_is_labelled(raw: Td3Demo) -> None:
     assert features.shape == (100, FEATURES)
     assert actions.numpy() == pytest.approx(raw.demos.action.reshape(100, 1))
     assert features[50:, :9].numpy() == pytest.approx(raw.demos.observation[1, :50])
+
+
+def test_disturbed_demonstrations_are_labelled_with_what_the_expert_wanted(server: str) -> None:
+    calm, disturbed = (
+        expert(config("bc", "GauzeRetrieve", demos=4, demo_noise=noise), server)
+        for noise in (0.0, 0.05)
+    )
+    assert np.array_equal(calm.action, calm.label)
+    off = disturbed.action - disturbed.label
+    assert 0.01 < np.abs(off).mean() < 0.1
+    # In the first state, which nothing has disturbed yet, it wants the same.
+    assert np.array_equal(disturbed.label[:, 0], calm.label[: len(disturbed), 0])
+    again = expert(config("bc", "GauzeRetrieve", demos=4, demo_noise=0.05), server)
+    assert np.array_equal(again.action, disturbed.action)

@@ -55,7 +55,7 @@ _PARTS = {
         "critic_updates",
     ),
     ("td3-demo",): ("demo_hindsight",),
-    _CLONING: ("clone_updates", "clone_rate"),
+    _CLONING: ("clone_updates", "clone_rate", "demo_noise"),
     ("ppo",): ("passes", "gae_lambda", "clip_range"),
 }
 """The algorithms that only some of the fields are for, and these."""
@@ -127,6 +127,9 @@ class Config:
 
     demos: int = 0
     """Episodes of demonstrations that are run; those that succeed are learnt from."""
+    demo_noise: float = 0.0
+    """Mean standard deviation of the noise on what the expert does while it demonstrates; that of an
+    episode is drawn between 0 and twice as much. Cloned is what it wanted to do."""
     demo_batch: int = 0
     """How many of a batch are from demonstrations."""
     policy_weight: float = 1.0
@@ -341,6 +344,7 @@ def _check_own(config: Config, check: Check) -> None:
     if config.algo in _CLONING:
         for name in ("demos", "clone_updates"):
             check(getattr(config, name) >= 1, name, "allowed are numbers from 1 on")
+        check(0.0 <= config.demo_noise <= 1.0, "demo_noise", "allowed are numbers from 0 to 1")
     if config.algo == "td3-demo":
         _check_demos(config, check)
     if config.algo == "td3-her":

@@ -8,13 +8,14 @@ from pathlib import Path
 import numpy as np
 from gymnasium import spaces
 from minari import MinariDataset
+from numpy.typing import NDArray
 from stable_baselines3 import HerReplayBuffer
 
 import trocar
-from trocar.demos import Episode, run
+from trocar.demos import Episode
 from trocar.errors import InvalidRequest, refuse
 from trocar.rl.config import Config
-from trocar.rl.episodes import Episodes
+from trocar.rl.episodes import Episodes, Seen, play
 from trocar.sb3 import TrocarVecEnv
 from trocar.vector import TrocarVectorEnv
 
@@ -28,20 +29,36 @@ AT_A_TIME = 50
 def expert(config: Config, server: str | None = None) -> Episodes:
     """The expert's episodes of :data:`SEED` and the seeds after it, but those that fail.
 
+    With ``demo_noise``, its actions are disturbed on their way, and what it wanted is the label: so
+    demonstrations show how to come back to the way. Source: Laskey et al., DART: Noise Injection
+    for Robust Imitation Learning, CoRL 2017.
+
     Raises:
         ValueError: All of them do.
     """
     count = min(AT_A_TIME, config.demos)
     options = {"autoreset_mode": "disabled", "expert": True, "server": server, **config.options}
     envs = TrocarVectorEnv(config.task, count, **options)
+    shown = Episodes(envs.task_spec, config.demos)
+    random = np.random.default_rng(SEED)
     try:
-        shown: list[Episode] = []
         for first in range(0, config.demos, count):
-            seeds = list(range(SEED + first, SEED + first + count))
-            shown += run(envs, seeds)[: config.demos - first]
+            # One for each episode, so that some hardly stray and others do.
+            noise = 2 * config.demo_noise * random.random((count, 1))
+
+            def act(seen: Seen, noise: NDArray[np.float64] = noise) -> NDArray[np.float32]:
+                wanted = seen.infos["expert_action"]
+                disturbed = wanted + noise[seen.envs] * random.standard_normal(wanted.shape)
+                return disturbed.clip(-1.0, 1.0).astype(np.float32)
+
+            played = play(envs, act, range(SEED + first, SEED + first + count))
+            is_asked_for = np.arange(count) < config.demos - first
+            shown.add(played, played.succeeded & is_asked_for)
     finally:
         envs.close()
-    return _succeeded(envs.task_spec, shown)
+    if not len(shown):
+        raise refuse(InvalidRequest, "demos", config.demos, "expected episodes that succeed")
+    return shown
 
 
 def recorded(path: Path, config: Config, server: str | None = None) -> Episodes:

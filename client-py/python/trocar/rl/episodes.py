@@ -36,6 +36,7 @@ class Transitions(NamedTuple):
     achieved: NDArray[np.float32]
     desired: NDArray[np.float32]
     action: NDArray[np.float32]
+    label: NDArray[np.float32]
     reward: NDArray[np.float32]
     next_observation: NDArray[np.float32]
     next_achieved: NDArray[np.float32]
@@ -166,6 +167,7 @@ class Episodes:
             self.achieved[episode, time],
             desired,
             self.action[episode, time],
+            self.label[episode, time],
             reward,
             self.observation[episode, time + 1],
             reached,

@@ -26,6 +26,7 @@ class Batch(NamedTuple):
 
     features: torch.Tensor
     action: torch.Tensor
+    label: torch.Tensor
     reward: torch.Tensor
     next_features: torch.Tensor
     goes_on: torch.Tensor
@@ -177,8 +178,9 @@ class Td3Demo(Own):
             parts.append(self.replay.sample(rows, config.hindsight, self.envs, self.random))
         drawn = Transitions.joined(parts)
         features, next_features = self._features(drawn)
-        action, reward, goes_on = map(torch.from_numpy, (drawn.action, drawn.reward, drawn.goes_on))
-        return Batch(features, action, reward, next_features, goes_on, shown)
+        rest = (drawn.action, drawn.label, drawn.reward, drawn.goes_on)
+        action, label, reward, goes_on = map(torch.from_numpy, rest)
+        return Batch(features, action, label, reward, next_features, goes_on, shown)
 
     def _features(self, drawn: Transitions) -> tuple[torch.Tensor, torch.Tensor]:
         """Before and after each step, computed in one call."""
@@ -245,7 +247,7 @@ class Td3Demo(Own):
         nothing = torch.zeros(())
         if shown == 0:
             return loss, nothing, nothing
-        off = (action[:shown] - batch.action[:shown]).abs().mean(1)
+        off = (action[:shown] - batch.label[:shown]).abs().mean(1)
         passes = values[:shown] > own.detach()[:shown] if config.q_filter else torch.ones(shown)
         clone_loss = (off * passes).mean()
         return loss + config.clone_weight * clone_loss, clone_loss.detach(), passes.float().mean()
