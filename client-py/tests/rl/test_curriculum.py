@@ -128,6 +128,7 @@ TD3: dict[str, Any] = {
     "warm_up": 0,
     "clone_updates": 1,
     "critic_updates": 1,
+    "train_every": 10,
 }
 
 
@@ -155,9 +156,10 @@ def test_td3_begins_on_the_ways_of_demonstrations(server: str) -> None:
     first = replay.observation[: len(replay), 0]
     shown = {state.tobytes() for state in demos.observation.reshape(-1, first.shape[1])}
     assert learner.curriculum.level < LEVELS - 1
-    assert (replay.length[: len(replay)] < 50).all()
-    assert len(set(replay.length[: len(replay)].tolist())) > 3
-    assert all(state.tobytes() in shown for state in first)
+    # Those of level 0 begin as the task's do, and are as long.
+    later = replay.length[: len(replay)] < 50
+    assert 10 < later.sum() < len(replay)
+    assert all(state.tobytes() in shown for state in first[later])
     assert learner.steps == replay.steps
     learner.close()
 
