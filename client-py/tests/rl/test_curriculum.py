@@ -147,18 +147,15 @@ def test_td3_begins_on_the_ways_of_demonstrations(server: str) -> None:
     moves = load(TASK, "td3-demo").but(**TD3)
     learner = make_learner(moves, expert(moves, server), 1, server=server)
     assert isinstance(learner, Td3Demo)
-    learner.begin(lambda _: None)
-    for _ in range(moves.epochs):
-        learner.learn(lambda _: None)
+    assert learner.curriculum is not None
+    learner.curriculum.level = 0  # half begin as the task's do, the others anywhere
+    learner.learn(lambda _: None)
     replay, demos = learner.replay, learner.demos
     assert demos is not None
-    assert learner.curriculum is not None
     first = replay.observation[: len(replay), 0]
     shown = {state.tobytes() for state in demos.observation.reshape(-1, first.shape[1])}
-    assert learner.curriculum.level < LEVELS - 1
-    # Those of level 0 begin as the task's do, and are as long.
     later = replay.length[: len(replay)] < 50
-    assert 10 < later.sum() < len(replay)
+    assert 5 <= later.sum() <= 25
     assert all(state.tobytes() in shown for state in first[later])
     assert learner.steps == replay.steps
     learner.close()
