@@ -266,7 +266,7 @@ def test_every_step_of_demonstrations_is_labelled(raw: Td3Demo) -> None:
     assert raw.demos is not None
     features, actions = labelled(raw.demos, raw.features)
     assert features.shape == (100, FEATURES)
-    assert actions.numpy() == pytest.approx(raw.demos.action.reshape(100, 1))
+    assert actions.numpy() == pytest.approx(raw.demos.label.reshape(100, 1))
     assert features[50:, :9].numpy() == pytest.approx(raw.demos.observation[1, :50])
 
 
