@@ -128,8 +128,8 @@ class Config:
     demos: int = 0
     """Episodes of demonstrations that are run; those that succeed are learnt from."""
     demo_noise: float = 0.0
-    """Mean standard deviation of the noise on what the expert does while it demonstrates; that of an
-    episode is drawn between 0 and twice as much. Cloned is what it wanted to do."""
+    """Mean standard deviation of the noise on what the expert does while it demonstrates; an
+    episode's is drawn between 0 and twice as much. What it wanted to do is cloned."""
     demo_batch: int = 0
     """How many of a batch are from demonstrations."""
     policy_weight: float = 1.0
