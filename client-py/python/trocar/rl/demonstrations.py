@@ -49,7 +49,8 @@ def expert(config: Config, server: str | None = None) -> Episodes:
             def act(seen: Seen, noise: NDArray[np.float64] = noise) -> NDArray[np.float32]:
                 wanted = seen.infos["expert_action"]
                 disturbed = wanted + noise[seen.envs] * random.standard_normal(wanted.shape)
-                return disturbed.clip(-1.0, 1.0).astype(np.float32)
+                action: NDArray[np.float32] = disturbed.clip(-1.0, 1.0).astype(np.float32)
+                return action
 
             played = play(envs, act, range(SEED + first, SEED + first + count))
             is_asked_for = np.arange(count) < config.demos - first
