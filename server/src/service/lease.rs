@@ -1,5 +1,5 @@
 //! Who is alive. Nobody is told of a death, so the server looks: once to four times a second it lists
-//! the participants of the transport, closes the sessions of those that are gone, and at the next look
+//! the participants of the transport, closes the sessions of those that are gone, and only then
 //! removes what they left.
 
 use std::time::{Duration, Instant};
