@@ -4,8 +4,7 @@
 //! ([`trocar_proto::door`]): who has rung gets its turn, whoever has computed least first, and is answered by
 //! whichever worker that is. So one thread answers what many clients sent, message by message, and the kernel
 //! changes threads only for the clients. There are as many workers as are in the middle of a message, waiting for
-//! their next turn, and some who look. All of them end once the last session has: the C library keeps memory that a
-//! thread has freed for as long as that thread lives (`heap.rs`).
+//! their next turn, and some who look.
 //!
 //! Nobody is woken up while all threads are taken: who ends a turn looks at the door. But beside long turns one
 //! worker, the *runner*, sleeps there for sessions that need little, which then go ahead (`turns.rs`). It does nothing
@@ -84,6 +83,7 @@ pub(super) struct Hall {
 }
 
 /// What workers share.
+#[expect(clippy::struct_excessive_bools, reason = "they are independent of each other")]
 pub(super) struct State {
     pub(super) turns: Turns,
     places: Vec<Place>,
@@ -99,6 +99,7 @@ pub(super) struct State {
     timed: bool,
     /// When all seats were last looked at.
     patrolled: Instant,
+    closed: bool,
 }
 
 /// Workers of a kind who sleep at the door.
@@ -188,6 +189,7 @@ impl Hall {
             patient: false,
             timed: false,
             patrolled: Instant::now(),
+            closed: false,
         };
         Ok(Arc::new(Self {
             pool,
@@ -240,6 +242,17 @@ impl Hall {
         state.call(seat);
         let help = state.needs_help(None);
         self.fetch_help(state, help);
+    }
+
+    /// Workers end once the last guest has left.
+    pub(super) fn close(&self) {
+        let mut state = self.lock();
+        state.closed = true;
+        let counts = [Listener::Any, Listener::Small].map(|kind| (kind, state.asleep(kind).count));
+        drop(state);
+        for (kind, count) in counts {
+            (0..count).for_each(|_| self.door.wake(kind));
+        }
     }
 
     pub(super) fn lock(&self) -> MutexGuard<'_, State> {

@@ -118,10 +118,8 @@ impl Worker {
                 state = hall.lock();
                 continue;
             }
-            if state.is_empty() {
-                state.runner &= *kind != Listener::Small;
+            if state.closed && state.is_empty() {
                 drop(state);
-                // Those who sleep end, too.
                 hall.door.wake(Listener::Any);
                 hall.door.wake(Listener::Small);
                 return None;
