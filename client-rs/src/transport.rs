@@ -271,9 +271,7 @@ impl Link {
                 control.loan_slice(bytes.len().max(1)).map_err(transport("control request"))?;
             request.payload_mut()[..bytes.len()].copy_from_slice(bytes);
             *request.user_header_mut() = header;
-            let pending = guarded(|| request.send())
-                .map_err(shared_memory)?
-                .map_err(transport("control request"))?;
+            let pending = request.send().map_err(transport("control request"))?;
             if pending.number_of_server_connections() > 0 {
                 break pending;
             }
@@ -291,8 +289,7 @@ impl Link {
         loop {
             // Asked before the reply is looked for: a server answers, and then lets go.
             let held = pending.is_connected();
-            let received = guarded(|| pending.receive()).map_err(shared_memory)?;
-            if let Some(reply) = received.map_err(transport("control reply"))? {
+            if let Some(reply) = pending.receive().map_err(transport("control reply"))? {
                 let length = (reply.user_header().length as usize).min(reply.payload().len());
                 return Ok(control::decode(&reply.payload()[..length])?);
             }
@@ -401,8 +398,7 @@ impl DataPort {
         let mut request = self.port.loan_slice(self.request_bytes).map_err(transport("request"))?;
         fill(request.payload_mut());
         *request.user_header_mut() = header;
-        let request =
-            guarded(|| request.send()).map_err(shared_memory)?.map_err(transport("request"))?;
+        let request = request.send().map_err(transport("request"))?;
         self.slept = self.link.door.ring(self.seat, self.bells.size());
         self.waiting = Instant::now();
         Ok(Pending { request, seen })
@@ -458,7 +454,7 @@ impl DataPort {
         if Arc::strong_count(&self.held) > MAX_HELD_REPLIES && request.has_response() {
             return Err(CallError::TooManyHeld);
         }
-        match guarded(|| request.receive()).map_err(shared_memory)? {
+        match request.receive() {
             Ok(None) if !connected => Err(self.why_unanswered()),
             Ok(response) => {
                 Ok(response.map(|response| RawReply { response, _held: Arc::clone(&self.held) }))
