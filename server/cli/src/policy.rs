@@ -134,7 +134,7 @@ impl Chooser {
         }
     }
 
-    /// The one who acts in the episode of `seed` in an environment of this process.
+    /// The agent of the episode of `seed`, for an environment of this process.
     pub(crate) fn agent(&self, spec: &TaskSpec, seed: u64) -> Agent {
         let [action, observation, achieved, desired] =
             [spec.action_dim(), spec.observation_dim(), spec.goal_dim(), spec.goal_dim()]
@@ -192,7 +192,7 @@ impl Player {
     }
 }
 
-/// Who acts in one environment of this process, and what it sees.
+/// An agent in one environment of this process: it sees an observation and chooses an action.
 pub(crate) struct Agent {
     player: Player,
     action: Vec<f32>,

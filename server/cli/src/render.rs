@@ -39,7 +39,7 @@ pub(crate) struct Render {
     /// A task id of `trocar tasks`, or all
     #[arg(long, default_value = "all")]
     task: String,
-    /// Who acts: oracle (the task's scripted expert), random, or a trained policy, FILE.onnx
+    /// The agent: oracle (the task's scripted expert), random, or a trained policy, FILE.onnx
     #[arg(long, default_value = "oracle")]
     policy: String,
     /// Seed of the episode
