@@ -24,10 +24,20 @@ DEMOS = 3
 LEVELS = 3
 
 
+SMALL: dict[str, Any] = {
+    "hidden": [16],
+    "epochs": 3,
+    "epoch_episodes": 8,
+    "eval_episodes": 2,
+    "updates": 5,
+    "demos": DEMOS,
+    "batch_size": 64,
+    "curriculum": LEVELS,
+}
+
+
 def config(**changes: Any) -> Config:
-    small = {"hidden": [16], "epochs": 3, "epoch_episodes": 8, "eval_episodes": 2, "updates": 5}
-    cut = {"demos": DEMOS, "demo_batch": 16, "batch_size": 64, "curriculum": LEVELS}
-    return load(TASK, "her-demo").but(**(small | cut | changes))
+    return load(TASK, "her-demo").but(**(SMALL | {"demo_batch": 16} | changes))
 
 
 @pytest.fixture(scope="module")
@@ -132,7 +142,18 @@ TD3: dict[str, Any] = {
 }
 
 
-@pytest.mark.parametrize("moves", [config(**EARLIER), load(TASK, "td3-demo").but(**TD3)])
+TD3_HER = {name: TD3[name] for name in TD3 if name not in ("demo_batch", "clone_updates")}
+
+
+@pytest.mark.parametrize(
+    "moves",
+    [
+        config(**EARLIER),
+        load(TASK, "td3-demo").but(**TD3),
+        load(TASK, "td3-her").but(**TD3_HER, learning_starts=200),
+        load(TASK, "her").but(**(SMALL | EARLIER)),
+    ],
+)
 def test_a_run_is_the_same_again_and_after_an_interruption(
     moves: Config, tmp_path: Path, server: str
 ) -> None:
@@ -166,5 +187,11 @@ def test_levels_that_are_none_are_refused() -> None:
         config(curriculum=1)
     with pytest.raises(ValueError, match="curriculum_success"):
         config(curriculum_success=0.0)
+    with pytest.raises(ValueError, match="demos"):
+        load(TASK, "her").but(curriculum=3)  # begins on the ways of which demonstrations?
+    with pytest.raises(ValueError, match="needs some for a curriculum"):
+        load(TASK, "her").but(demos=3)
     with pytest.raises(ValueError, match="does not use it"):
-        load(TASK, "her").but(curriculum=3)
+        load(TASK, "dagger").but(curriculum=3)
+    with pytest.raises(ValueError, match="no goals"):
+        load("ActiveTrack", "ddpg").but(curriculum=3, demos=5)

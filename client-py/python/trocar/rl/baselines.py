@@ -58,7 +58,9 @@ class Baseline:
             self.envs = CurriculumVecEnv(self.envs.envs, demos, config)
         self.model = make_model(config, self.envs, seed)
         self._ready()
-        if isinstance(self.model, GoalDDPG) and demos is not None:
+        if config.algo == "her-demo":
+            assert demos is not None
+            assert isinstance(self.model, GoalDDPG)
             self.model.learn_from(demonstrations.buffer(demos, config, self.envs))
 
     def _ready(self) -> None:

@@ -33,18 +33,17 @@ ALGORITHMS = (*BASELINES, *OWN)
 _TD3 = ("td3-demo", "td3-her")
 _CLONING = ("td3-demo", "bc", "dagger")
 _PARTS = {
-    (*BASELINES, *_TD3): ("learning_rate", "gamma", "train_every"),
+    (*BASELINES, *_TD3): (
+        *("learning_rate", "gamma", "train_every", "curriculum", "curriculum_success"),
+    ),
     ("ddpg", "her", "her-demo", *_TD3): (
         *("buffer_size", "learning_starts", "updates", "tau", "noise"),
     ),
     ("ddpg", "her", "her-demo"): ("averaged",),
     ("her", "her-demo", *_TD3): ("random_actions",),
     ("her", "her-demo"): ("goals", "action_l2"),
-    ("her-demo", *_CLONING): ("demos",),
     ("her-demo", *_TD3): ("policy_weight",),
-    ("her-demo", "td3-demo"): (
-        *("demo_batch", "clone_weight", "q_filter", "curriculum", "curriculum_success"),
-    ),
+    ("her-demo", "td3-demo"): ("demo_batch", "clone_weight", "q_filter"),
     _TD3: (
         "hindsight",
         "warm_up",
@@ -126,7 +125,8 @@ class Config:
     """Weight of the mean squared action in the policy's loss."""
 
     demos: int = 0
-    """Episodes of demonstrations that are run; those that succeed are learnt from."""
+    """Episodes of demonstrations that are run; those that succeed are learnt from. Algorithms that
+    learn from none need some for a curriculum."""
     demo_noise: float = 0.0
     """Mean standard deviation of the noise on what the expert does while it demonstrates; an
     episode's is drawn between 0 and twice as much. What it wanted to do is cloned."""
@@ -294,6 +294,7 @@ def _checked(config: Config) -> Config:
     if config.task == "ActiveTrack-v0":
         allowed = "the task has no goals: allowed are ['ddpg', 'ppo', 'td3-her', 'bc', 'dagger']"
         check(not config.algo.startswith("her") and config.algo != "td3-demo", "algo", allowed)
+        check(config.curriculum == 0, "curriculum", "the task has no goals: allowed is 0")
     counts = (
         "epoch_episodes",
         "eval_episodes",
@@ -304,6 +305,7 @@ def _checked(config: Config) -> Config:
     )
     for name in counts if config.algo == "bc" else (*counts, "epochs"):
         check(getattr(config, name) >= 1, name, "allowed are numbers from 1 on")
+    _check_curriculum(config, check)
     if config.algo in BASELINES:
         _check_baseline(config, check)
     else:
@@ -329,9 +331,15 @@ def _check_baseline(config: Config, check: Check) -> None:
 
 
 def _check_demos(config: Config, check: Check) -> None:
-    check(config.demos >= 1, "demos", "allowed are numbers from 1 on")
     allowed = f"allowed are numbers from 1 to {config.batch_size - 1}"
     check(1 <= config.demo_batch < config.batch_size, "demo_batch", allowed)
+
+
+def _check_curriculum(config: Config, check: Check) -> None:
+    if config.curriculum or config.algo in ("her-demo", *_CLONING):
+        check(config.demos >= 1, "demos", "allowed are numbers from 1 on")
+    else:
+        check(config.demos == 0, "demos", f"{config.algo} needs some for a curriculum only")
     allowed = f"allowed are 0, for none, and 2 to {config.steps} levels"
     check(config.curriculum in (0, *range(2, config.steps + 1)), "curriculum", allowed)
     allowed = "allowed are numbers above 0, up to 1"
@@ -342,8 +350,7 @@ def _check_own(config: Config, check: Check) -> None:
     allowed = f"{config.epoch_episodes} episodes of an epoch must be a multiple of it"
     check(config.epoch_episodes % config.envs == 0, "envs", allowed)
     if config.algo in _CLONING:
-        for name in ("demos", "clone_updates"):
-            check(getattr(config, name) >= 1, name, "allowed are numbers from 1 on")
+        check(config.clone_updates >= 1, "clone_updates", "allowed are numbers from 1 on")
         check(0.0 <= config.demo_noise <= 1.0, "demo_noise", "allowed are numbers from 0 to 1")
     if config.algo == "td3-demo":
         _check_demos(config, check)

@@ -8,7 +8,7 @@ import numpy as np
 import torch
 
 from trocar.rl.config import Config
-from trocar.rl.episodes import Episodes, play
+from trocar.rl.episodes import Episodes
 from trocar.rl.features import BatchInputs
 from trocar.rl.learner import Live, Own
 from trocar.rl.networks import Policy
@@ -106,8 +106,7 @@ class Dagger(Cloning):
         """Plays the episodes of an epoch, and clones the expert in all states so far."""
         rounds = self.config.epoch_episodes // self.config.envs
         for number in range(rounds):
-            played = play(self.envs, lambda seen: self.policy.act(*seen.arrays), self.seeds())
-            self.steps += played.steps
+            played = self.play(lambda seen: self.policy.act(*seen.arrays))
             parts = zip(self.shown, labelled(played, self.features), strict=True)
             features, actions = map(torch.cat, parts)
             self.shown = features, actions

@@ -10,7 +10,8 @@ import numpy as np
 import torch
 
 from trocar.rl.config import Config
-from trocar.rl.episodes import Episodes
+from trocar.rl.curriculum import Curriculum
+from trocar.rl.episodes import Act, Episodes, play
 from trocar.rl.evaluation import Policy as Acting
 from trocar.rl.features import BatchInputs, Inputs
 from trocar.rl.networks import Policy
@@ -90,6 +91,9 @@ class Own:
         inputs = Inputs.of(spec, config.words)
         self.policy = Policy(inputs, len(spec.action), config.hidden, config.norm_clip)
         self.features = BatchInputs(spec, config.words)
+        self.curriculum = None
+        if demos is not None and config.curriculum:
+            self.curriculum = Curriculum(self.envs, demos, config, self.random)
         self.steps = self.updates = 0
         self._noted: dict[str, list[float]] = {}
 
@@ -103,16 +107,45 @@ class Own:
         seeds = self.random.integers(FIRST_SEED, LAST_SEED, size=self.envs.num_envs)
         return [int(seed) for seed in seeds]
 
+    def play(self, act: Act, meanwhile: Callable[[int], None] = lambda _: None) -> Episodes:
+        """Plays an episode in each environment, which begins where the curriculum says.
+
+        Args:
+            act: What acts.
+            meanwhile: Called with the number of each step while the server simulates it.
+        """
+        curriculum = self.curriculum
+        begun_at: list[int] = []
+
+        def begin(observation: Any) -> Any:
+            if curriculum is None:
+                return observation
+            for env in range(self.envs.num_envs):
+                level, state = curriculum.draw()
+                begun_at.append(level)
+                if state is not None:
+                    observation = self.envs.restore(state, [env])
+            return observation
+
+        played = play(self.envs, act, self.seeds(), begin=begin, meanwhile=meanwhile)
+        self.steps += played.steps
+        if curriculum is not None:
+            for level, success in zip(begun_at, played.succeeded, strict=True):
+                curriculum.count(level, bool(success))
+        return played
+
     def note(self, **values: float) -> None:
         """Notes losses of an update."""
         for name, value in values.items():
             self._noted.setdefault(name, []).append(value)
 
     def row(self) -> Row:
-        """Steps and updates so far, and mean losses since the latest row."""
-        losses = {name: float(np.mean(values)) for name, values in self._noted.items()}
+        """Steps and updates so far, mean losses since the latest row, the curriculum's level."""
+        row = {name: float(np.mean(values)) for name, values in self._noted.items()}
         self._noted.clear()
-        return {"steps": self.steps, "updates": self.updates, **losses}
+        if self.curriculum is not None:
+            row["level"] = self.curriculum.level
+        return {"steps": self.steps, "updates": self.updates, **row}
 
     def save_policy(self, path: Path) -> None:
         """Writes :attr:`acting`."""
@@ -125,13 +158,18 @@ class Own:
             "updates": self.updates,
             "random": self.random.bit_generator.state,
         }
-        return {"progress": progress, "policy": self.policy.state_dict()}
+        told = {"progress": progress, "policy": self.policy.state_dict()}
+        if self.curriculum is not None:
+            told["curriculum"] = self.curriculum.progress()
+        return told
 
     def go_on(self, state: dict[str, Any]) -> None:
         """Goes on from what :meth:`state` gave."""
         self.steps, self.updates = state["progress"]["steps"], state["progress"]["updates"]
         self.random.bit_generator.state = state["progress"]["random"]
         self.policy.load_state_dict(state["policy"])
+        if self.curriculum is not None:
+            self.curriculum.go_on(state["curriculum"])
 
     def save(self, folder: Path) -> None:
         """Writes all that :meth:`restore` needs to go on."""

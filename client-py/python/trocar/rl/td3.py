@@ -12,10 +12,9 @@ from numpy.typing import NDArray
 from torch.nn.functional import mse_loss
 
 from trocar.rl.config import Config
-from trocar.rl.curriculum import Curriculum
-from trocar.rl.episodes import Episodes, Seen, Transitions, play
+from trocar.rl.episodes import Episodes, Seen, Transitions
 from trocar.rl.imitation import clone, labelled
-from trocar.rl.learner import Live, Own, Row
+from trocar.rl.learner import Live, Own
 from trocar.rl.networks import Critics, Policy
 
 CRITICS = 2
@@ -57,6 +56,8 @@ class Td3Demo(Own):
     ) -> None:
         """Untrained."""
         super().__init__(config, demos, seed, server=server)
+        if config.algo != "td3-demo":
+            self.demos = None
         spec = self.envs.task_spec
         low = -1 / (1 - config.gamma)
         self.bounds = {"sparse": (low, 0.0), "dense": (-np.inf, 0.0)}.get(
@@ -64,10 +65,6 @@ class Td3Demo(Own):
         )
         room = config.epochs * config.epoch_episodes + config.learning_starts // spec.max_steps + 1
         self.replay = Episodes(spec, min(room, max(1, config.buffer_size // spec.max_steps)))
-        self.curriculum = None
-        if demos is not None and config.curriculum:
-            self.curriculum = Curriculum(self.envs, demos, config, self.random)
-        self._begun_at: list[int] = []
         first = 0.3 * low if spec.reward == "sparse" else 0.0
         self.critics = Critics(self.policy, config.hidden, CRITICS, first)
         self._copy()
@@ -95,7 +92,7 @@ class Td3Demo(Own):
         config = self.config
         if self.demos is None:
             while self.steps < config.learning_starts:
-                self._take(play(self.envs, self._at_random, self.seeds()))
+                self.replay.add(self.play(self._at_random))
             drawn = self.replay.sample(
                 20 * config.batch_size, config.hindsight, self.envs, self.random
             )
@@ -118,8 +115,7 @@ class Td3Demo(Own):
             # One for the episode of each environment, so that some hardly stray and others do.
             noise = 2 * self.config.noise * self.random.random((self.config.envs, 1))
             act, meanwhile = partial(self._explore, noise), partial(self._train, self.weight())
-            begin = self._begin
-            self._take(play(self.envs, act, self.seeds(), begin=begin, meanwhile=meanwhile))
+            self.replay.add(self.play(act, meanwhile))
             live((number + 1) / rounds)
 
     def weight(self) -> float:
@@ -129,25 +125,6 @@ class Td3Demo(Own):
         if since < 0:
             return 0.0
         return config.policy_weight * min(1.0, (since + config.envs) / max(1, config.ramp))
-
-    def _begin(self, observation: Any) -> Any:
-        """Lets episodes begin where the curriculum says, if there is one."""
-        self._begun_at = []
-        if self.curriculum is None:
-            return observation
-        for env in range(self.envs.num_envs):
-            level, state = self.curriculum.draw()
-            self._begun_at.append(level)
-            if state is not None:
-                observation = self.envs.restore(state, [env])
-        return observation
-
-    def _take(self, played: Episodes) -> None:
-        self.replay.add(played)
-        self.steps += played.steps
-        if self.curriculum is not None:
-            for level, success in zip(self._begun_at, played.succeeded, strict=True):
-                self.curriculum.count(level, bool(success))
 
     def _explore(self, noise: NDArray[np.float64], seen: Seen) -> NDArray[np.float32]:
         """The policy's actions with noise; a part of them is random."""
@@ -261,14 +238,7 @@ class Td3Demo(Own):
         """All that decides how it goes on."""
         networks = {name: network.state_dict() for name, network in self._networks().items()}
         told = {"networks": networks, "replay": self.replay.state()}
-        if self.curriculum is not None:
-            told["curriculum"] = self.curriculum.progress()
         return super().state() | told
-
-    def row(self) -> Row:
-        """Steps and updates so far, mean losses since the latest row, the curriculum's level."""
-        row = super().row()
-        return row if self.curriculum is None else row | {"level": self.curriculum.level}
 
     def go_on(self, state: dict[str, Any]) -> None:
         """Goes on from what :meth:`state` gave."""
@@ -276,8 +246,6 @@ class Td3Demo(Own):
         for name, network in self._networks().items():
             network.load_state_dict(state["networks"][name])
         self.replay.go_on(state["replay"])
-        if self.curriculum is not None:
-            self.curriculum.go_on(state["curriculum"])
 
 
 def _follow(target: torch.nn.Module, source: torch.nn.Module, part: float) -> None:
