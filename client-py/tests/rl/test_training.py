@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shlex
 import subprocess
 import sys
 from pathlib import Path
@@ -198,6 +199,45 @@ def test_evaluation_says_how_sure_it_is(
     # However many at a time: the same episodes.
     assert main(["evaluate", str(trained.path), *flags[:2], "--server", server]) == 0
     assert json.loads(capsys.readouterr().out) == said
+
+
+def test_cards_and_pages_say_what_was_measured(
+    tmp_path: Path, server: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    config = small("her", epochs=1).but(noise=0.125, task_options={"spawn": "narrow"})
+    run = train(config, 7, out=tmp_path / "runs", server=server, say=quietly)
+    onnx_file = str(tmp_path / "policy.onnx")
+    export_it = ["export", str(run.path), "--card", "--out", onnx_file]
+    assert main(export_it) == 2
+    assert "evaluate" in capsys.readouterr().err
+    flags = ["--episodes", "4", "--server", server, "--conditions"]
+    assert main(["evaluate", str(run.path), *flags]) == 0
+    said = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    names = ["as trained", "twice the rate", "60 ms late", "noise 0.5 mm"]
+    assert [told["condition"] for told in said] == names
+    assert run.evaluations() == said
+    assert all(told["options"]["spawn"] == "narrow" for told in said)
+    assert main(export_it) == 0
+    told = {entry.key: entry.value for entry in onnx.load(onnx_file).metadata_props}
+    card = json.loads(told["trocar.card"])
+    assert card["success_rate"] == said[0]["success_rate"]
+    assert card["confidence_95"] == said[0]["confidence_95"]
+    conditions = {each["name"]: each["success_rate"] for each in card["conditions"]}
+    assert conditions == {each["condition"]: each["success_rate"] for each in said[1:]}
+    words = shlex.split(card["command"])
+    assert words[:4] == ["python", "-m", "trocar.rl", "train"]
+    # Such a configuration comes out of the command again.
+    again = main(["configs", *words[4:6], "--algo", "her", *words[words.index("7") + 1 :]])
+    assert again == 0
+    assert Config.from_json(capsys.readouterr().out.removeprefix(f"{onnx_file}\n")) == config
+
+    page = tmp_path / "page" / "RESULTS.md"
+    assert main(["report", str(tmp_path), "--out", str(page), "--pictures", str(tmp_path)]) == 0
+    text = page.read_text()
+    assert f"| {100 * said[0]['success_rate']:.1f} |" in text
+    assert "twice the rate" in text
+    assert "(../minutes.png)" in text
+    assert all((tmp_path / name).stat().st_size > 0 for name in ("minutes.png", "learning.png"))
 
 
 def test_wilson_s_interval_is_that_of_the_books() -> None:

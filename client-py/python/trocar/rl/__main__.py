@@ -1,4 +1,4 @@
-"""``python -m trocar.rl``: train, evaluate, table, curves, export, configs."""
+"""``python -m trocar.rl``: train, evaluate, table, curves, report, export, best, configs."""
 
 from __future__ import annotations
 
@@ -48,6 +48,7 @@ def _parser() -> argparse.ArgumentParser:
     train.add_argument("--envs", type=int)
     train.add_argument("--server", help="name of a running server; one of its own by default")
     train.add_argument("--threads", type=int, default=1, help="of PyTorch")
+    train.add_argument("--view", action="store_true", help="say where the viewer shows it")
 
     evaluate = commands.add_parser("evaluate", help="how often a policy succeeds, as JSON")
     evaluate.set_defaults(run=_evaluate)
@@ -57,6 +58,9 @@ def _parser() -> argparse.ArgumentParser:
     evaluate.add_argument("--seed", type=int, help="of the first episode")
     evaluate.add_argument("--envs", type=int, default=50)
     evaluate.add_argument("--server")
+    evaluate.add_argument(
+        "--conditions", action="store_true", help="also late, disturbed, and at twice the rate"
+    )
     _options(evaluate)
 
     table = commands.add_parser("table", help="evaluations of several runs, as a Markdown table")
@@ -68,11 +72,25 @@ def _parser() -> argparse.ArgumentParser:
     curves.add_argument("runs", type=Path)
     curves.add_argument("--out", type=Path, default=Path("curves.png"), help=".png; .csv beside it")
 
+    report = commands.add_parser("report", help="a page with tables and figures of all runs")
+    report.set_defaults(run=_report)
+    report.add_argument("runs", type=Path)
+    report.add_argument("--out", type=Path, default=Path("RESULTS.md"))
+    report.add_argument("--pictures", type=Path, default=Path(), help="folder of the figures")
+
     export = commands.add_parser("export", help="a policy as ONNX, for trocar rollout")
     export.set_defaults(run=_export)
     export.add_argument("run_folder", type=Path, metavar="RUN")
     export.add_argument("--policy", choices=("best", "last"), default="best")
     export.add_argument("--out", type=Path, default=Path("policy.onnx"))
+    export.add_argument(
+        "--card", action="store_true", help="write into the file how well it does, once evaluated"
+    )
+
+    best = commands.add_parser("best", help="each task's best policy as ONNX, and a page of them")
+    best.set_defaults(run=_best)
+    best.add_argument("runs", type=Path, help="folder of runs, which were evaluated")
+    best.add_argument("--out", type=Path, default=Path("policies"), help="folder of the files")
 
     configs = commands.add_parser("configs", help="show a configuration, as JSON")
     configs.set_defaults(run=lambda given: print(_config(given).to_json()))
@@ -138,6 +156,7 @@ def _train(given: argparse.Namespace) -> None:
         demos=given.demos,
         server=given.server,
         threads=given.threads,
+        view=given.view,
     )
     print(run.path)
 
@@ -145,43 +164,37 @@ def _train(given: argparse.Namespace) -> None:
 def _evaluate(given: argparse.Namespace) -> None:
     import torch
 
-    from trocar.rl.evaluation import FINAL_SEED, score
+    from trocar.rl.cards import AS_TRAINED, conditions
+    from trocar.rl.evaluation import FINAL_SEED, evaluate
     from trocar.rl.runs import Run
-    from trocar.sb3 import make_vec
 
     torch.set_num_threads(1)
     run = Run(given.run_folder)
-    config = run.config
-    options = config.options | _values(given.option)
-    seed = FINAL_SEED if given.seed is None else given.seed
-    policy = run.policy(given.policy)
-    count = min(given.envs, given.episodes)
-    envs = make_vec(config.task_id, count, server=given.server, **options)
-    try:
-        result = score(policy, envs, seed, given.episodes)
-    finally:
-        envs.close()
-    low, high = result.interval
-    has_goals = envs.envs.task_spec.goal is not None
-    print(
-        json.dumps(
-            {
-                "task": config.task,
-                "algo": config.algo,
-                "run": str(run.path),
-                "policy": given.policy,
-                "trained_with": config.task_options,
-                "options": options,
-                "seed": seed,
-                "episodes": result.episodes,
-                "success_rate": result.success_rate if has_goals else None,
-                "confidence_95": [low, high] if has_goals else None,
-                "success_ever_rate": result.successes_ever / result.episodes if has_goals else None,
-                "mean_return": result.mean_return,
-                "mean_length": result.mean_length,
-            }
+    config, policy = run.config, run.policy(given.policy)
+    options = _values(given.option)
+    tested: dict[str | None, Any] = {None if options else AS_TRAINED: options}
+    if given.conditions:
+        tested.update(conditions(config))
+    for condition, options in tested.items():
+        told = {
+            "task": config.task,
+            "algo": config.algo,
+            "run": str(run.path),
+            "policy": given.policy,
+            "trained_with": config.task_options,
+            "condition": condition,
+        }
+        result = evaluate(
+            policy,
+            config,
+            options,
+            seed=FINAL_SEED if given.seed is None else given.seed,
+            episodes=given.episodes,
+            envs=given.envs,
+            server=given.server,
         )
-    )
+        run.add_evaluation(told | result)
+        print(json.dumps(told | result))
 
 
 def _table(given: argparse.Namespace) -> None:
@@ -205,12 +218,36 @@ def _curves(given: argparse.Namespace) -> None:
     print(given.out)
 
 
+def _report(given: argparse.Namespace) -> None:
+    from trocar.rl.curves import find
+    from trocar.rl.report import write
+
+    write(find(given.runs), given.runs, given.out, given.pictures)
+    print(given.out)
+
+
 def _export(given: argparse.Namespace) -> None:
+    from trocar.rl.cards import card
     from trocar.rl.export import export
     from trocar.rl.runs import Run
 
     run = Run(given.run_folder)
-    print(export(run.policy(given.policy), run.config, given.out))
+    told = card(run, given.policy) if given.card else None
+    print(export(run.policy(given.policy), run.config, given.out, told))
+
+
+def _best(given: argparse.Namespace) -> None:
+    from trocar.rl.cards import best, card, page
+    from trocar.rl.curves import find
+    from trocar.rl.export import export
+
+    cards = {}
+    for run in best(find(given.runs)):
+        config = run.config
+        cards[config.task] = card(run)
+        path = given.out / f"{config.task}.onnx"
+        print(export(run.policy("best"), config, path, cards[config.task]))
+    (given.out / "README.md").write_text(page(cards))
 
 
 if __name__ == "__main__":

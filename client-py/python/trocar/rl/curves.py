@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import csv
+import json
+import textwrap
 from collections import defaultdict
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import matplotlib as mpl
@@ -14,6 +16,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from trocar.errors import InvalidRequest, refuse
+from trocar.rl.config import Config, load
 from trocar.rl.runs import Run
 
 
@@ -23,14 +26,22 @@ class Curve:
 
     task: str
     label: str
-    """Algorithm, options where they are not the task's defaults, and curriculum if there is one."""
+    """As :func:`label` gives it."""
     runs: int
     """How many."""
-    epochs: NDArray[np.float64]
     mean: NDArray[np.float64]
     """Of success, or of the return for tasks without goals, by epoch."""
     std: NDArray[np.float64]
     """Standard deviation over runs (of the sample; 0 for one run)."""
+    cpu_minutes: NDArray[np.float64]
+    """Processor time of trainer and server until then, min; mean over runs."""
+    wall_minutes: NDArray[np.float64]
+    """Time until then, min; mean over runs."""
+
+    @property
+    def epochs(self) -> NDArray[np.float64]:
+        """Their numbers."""
+        return np.arange(len(self.mean), dtype=float)
 
     @property
     def error(self) -> NDArray[np.float64]:
@@ -41,6 +52,27 @@ class Curve:
 def is_of_returns(task: str) -> bool:
     """Whether a task is judged by its return, since it has no goals."""
     return task == "ActiveTrack-v0"
+
+
+def changes(config: Config) -> dict[str, object]:
+    """What a configuration has otherwise than the one of its task and algorithm, but options."""
+    usual = asdict(load(config.task, config.algo))
+    named = {name: value for name, value in asdict(config).items() if value != usual[name]}
+    named.pop("task_options", None)
+    return named
+
+
+def label(config: Config) -> str:
+    """An algorithm, with options and values that are not the usual ones."""
+    usual = load(config.task, config.algo).task_options
+    options = {
+        name: value for name, value in config.task_options.items() if value != usual.get(name)
+    }
+    named = sorted(options.items()) + sorted(changes(config).items())
+    words = [
+        f"{name}={value if isinstance(value, str) else json.dumps(value)}" for name, value in named
+    ]
+    return " ".join([config.algo, *words])
 
 
 def find(folder: Path) -> list[Run]:
@@ -59,25 +91,45 @@ def curves(runs: list[Run]) -> list[Curve]:
     """The curves of runs, one for each task, algorithm and options; as long as the shortest."""
     groups: defaultdict[tuple[str, str], list[Run]] = defaultdict(list)
     for run in runs:
-        config = run.config
-        options = [f"{name}={value}" for name, value in sorted(config.task_options.items())]
-        if config.curriculum:
-            options.append(f"curriculum={config.curriculum}")
-        groups[config.task, " ".join([config.algo, *options])].append(run)
-    made = []
-    for (task, label), members in sorted(groups.items()):
-        column = "mean_return" if is_of_returns(task) else "success"
-        values = [[row[column] for row in run.rows()] for run in members]
-        length = min(map(len, values))
-        table = np.array([row[:length] for row in values])
-        std = table.std(axis=0, ddof=1) if len(table) > 1 else np.zeros(length)
-        mean = table.mean(axis=0)
-        made.append(Curve(task, label, len(table), np.arange(length, dtype=float), mean, std))
-    return made
+        groups[run.config.task, label(run.config)].append(run)
+    return [_curve(task, name, members) for (task, name), members in sorted(groups.items())]
 
 
-def plot(made: list[Curve], path: Path) -> None:
-    """Draws curves, a panel for each task: light is the standard deviation, dark its error."""
+def _curve(task: str, name: str, runs: list[Run]) -> Curve:
+    rows = [run.rows() for run in runs]
+    length = min(map(len, rows))
+
+    def table(*columns: str) -> NDArray[np.float64]:
+        """Sums of columns by run and epoch."""
+        return np.array(
+            [
+                [sum(row.get(column, 0.0) for column in columns) for row in of[:length]]
+                for of in rows
+            ]
+        )
+
+    values = table("mean_return" if is_of_returns(task) else "success")
+    return Curve(
+        task,
+        name,
+        runs=len(runs),
+        mean=values.mean(axis=0),
+        std=values.std(axis=0, ddof=1) if len(runs) > 1 else np.zeros(length),
+        cpu_minutes=table("trainer_cpu_s", "server_cpu_s").mean(axis=0) / 60,
+        wall_minutes=table("wall_s").mean(axis=0) / 60,
+    )
+
+
+def plot(made: list[Curve], path: Path, *, minutes: bool = False) -> None:
+    """Draws curves, a panel for each task.
+
+    Args:
+        made: The curves.
+        path: The file.
+        minutes: Whether they are drawn over minutes, with a logarithmic axis: those of processors
+            solid, those of the wall dashed. Otherwise over epochs: light is the standard
+            deviation over seeds, dark its error.
+    """
     mpl.use("Agg")
     tasks = sorted({curve.task for curve in made})
     columns = min(len(tasks), 5)
@@ -87,22 +139,41 @@ def plot(made: list[Curve], path: Path) -> None:
     for panel in panels:
         panel.set_visible(False)
     for panel, task in zip(figure.axes, tasks, strict=False):
-        _panel(panel, task, [curve for curve in made if curve.task == task])
+        panel.set_visible(True)
+        for number, curve in enumerate(curve for curve in made if curve.task == task):
+            (_over_minutes if minutes else _over_epochs)(panel, curve, f"C{number}")
+        _finish(panel, task)
     path.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(path)
 
 
-def _panel(panel: Axes, task: str, made: list[Curve]) -> None:
-    panel.set_visible(True)
-    scale = 1.0 if is_of_returns(task) else 100.0
-    for number, curve in enumerate(made):
-        colour = f"C{number}"
-        label = f"{curve.label} ({curve.runs})"
-        panel.plot(curve.epochs, scale * curve.mean, color=colour, linewidth=1.4, label=label)
-        for spread, alpha in ((curve.std, 0.15), (curve.error, 0.3)):
-            low, high = (scale * (curve.mean + sign * spread) for sign in (-1, 1))
-            panel.fill_between(curve.epochs, low, high, color=colour, alpha=alpha, linewidth=0)
-    panel.set(title=task, xlabel="epoch")
+def _over_epochs(panel: Axes, curve: Curve, colour: str) -> None:
+    scale = _scale(curve.task)
+    panel.plot(curve.epochs, scale * curve.mean, ".-", color=colour, ms=3, label=_legend(curve))
+    for spread, alpha in ((curve.std, 0.15), (curve.error, 0.3)):
+        low, high = (scale * (curve.mean + sign * spread) for sign in (-1, 1))
+        panel.fill_between(curve.epochs, low, high, color=colour, alpha=alpha, linewidth=0)
+    panel.set_xlabel("epoch")
+
+
+def _over_minutes(panel: Axes, curve: Curve, colour: str) -> None:
+    values = _scale(curve.task) * curve.mean
+    panel.plot(curve.cpu_minutes, values, ".-", color=colour, ms=4, label=_legend(curve))
+    panel.plot(curve.wall_minutes, values, "--", color=colour, linewidth=0.8)
+    panel.set_xscale("log")
+    panel.set_xlabel("minutes (processors: solid, wall: dashed)")
+
+
+def _scale(task: str) -> float:
+    return 1.0 if is_of_returns(task) else 100.0
+
+
+def _legend(curve: Curve) -> str:
+    return textwrap.fill(f"{curve.label} ({curve.runs})", 44)
+
+
+def _finish(panel: Axes, task: str) -> None:
+    panel.set_title(task)
     panel.set_ylabel("return" if is_of_returns(task) else "success, %")
     if not is_of_returns(task):
         panel.set_ylim(-3, 103)
@@ -126,8 +197,10 @@ def write_table(made: list[Curve], path: Path) -> None:
     """Writes what the figure shows as CSV."""
     with path.open("w", newline="") as file:
         writer = csv.writer(file)
-        writer.writerow(["task", "runs_of", "seeds", "epoch", "mean", "std", "standard_error"])
+        header = ["task", "runs_of", "seeds", "epoch", "mean", "std", "standard_error"]
+        writer.writerow([*header, "cpu_minutes", "wall_minutes"])
         for curve in made:
-            for row in zip(curve.epochs, curve.mean, curve.std, curve.error, strict=True):
+            columns = (curve.epochs, curve.mean, curve.std, curve.error)
+            for row in zip(*columns, curve.cpu_minutes, curve.wall_minutes, strict=True):
                 numbers = [f"{number:.6g}" for number in row]
                 writer.writerow([curve.task, curve.label, curve.runs, *numbers])

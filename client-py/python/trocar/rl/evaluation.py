@@ -9,7 +9,8 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from trocar.sb3 import TrocarVecEnv
+from trocar.rl.config import Config
+from trocar.sb3 import TrocarVecEnv, make_vec
 
 SEED = 1_000_000
 """Of the first episode of evaluations while training."""
@@ -84,6 +85,46 @@ def score(policy: Policy, envs: TrocarVecEnv, seed: int, episodes: int | None = 
         mean_return=float(returns.mean()),
         mean_length=float(lengths.mean()),
     )
+
+
+def evaluate(
+    policy: Policy,
+    config: Config,
+    options: dict[str, Any] | None = None,
+    *,
+    seed: int = FINAL_SEED,
+    episodes: int = 200,
+    envs: int = 50,
+    server: str | None = None,
+) -> dict[str, Any]:
+    """How well a policy does, as ``python -m trocar.rl evaluate`` prints it.
+
+    Args:
+        policy: Who acts.
+        config: What it was trained with.
+        options: Other options of the task than those.
+        seed: Of the first episode.
+        episodes: How many.
+        envs: Most environments at a time.
+        server: Name of the server; a private one if ``None``.
+    """
+    options = config.options | (options or {})
+    made = make_vec(config.task_id, min(envs, episodes), server=server, **options)
+    try:
+        result = score(policy, made, seed, episodes)
+        has_goals = made.envs.task_spec.goal is not None
+    finally:
+        made.close()
+    return {
+        "options": options,
+        "seed": seed,
+        "episodes": result.episodes,
+        "success_rate": result.success_rate if has_goals else None,
+        "confidence_95": list(result.interval) if has_goals else None,
+        "success_ever_rate": result.successes_ever / result.episodes if has_goals else None,
+        "mean_return": result.mean_return,
+        "mean_length": result.mean_length,
+    }
 
 
 def _round(policy: Policy, envs: TrocarVecEnv, seed: int) -> NDArray[np.float64]:

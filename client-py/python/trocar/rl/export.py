@@ -59,7 +59,12 @@ class Acting(nn.Module):
         return action.clamp(-1.0, 1.0)
 
 
-def export(model: BaseAlgorithm | Policy, config: Config, path: str | os.PathLike[str]) -> Path:
+def export(
+    model: BaseAlgorithm | Policy,
+    config: Config,
+    path: str | os.PathLike[str],
+    card: dict[str, Any] | None = None,
+) -> Path:
     """Writes the deterministic policy of a model as an ONNX file.
 
     Inputs are those of ``observation``, ``achieved_goal`` and ``desired_goal`` that it uses, of
@@ -71,6 +76,7 @@ def export(model: BaseAlgorithm | Policy, config: Config, path: str | os.PathLik
         model: A trained model.
         config: What it was trained with.
         path: The file.
+        card: What else is known of it, as :func:`trocar.rl.cards.card` tells it.
     """
     acting = Acting(model).to("cpu").eval()
     sizes = acting.inputs.sizes
@@ -93,6 +99,8 @@ def export(model: BaseAlgorithm | Policy, config: Config, path: str | os.PathLik
         "trocar.options": json.dumps(config.options),
         "trocar.version": trocar.__version__,
     }
+    if card is not None:
+        metadata["trocar.card"] = json.dumps(card)
     onnx.helper.set_model_props(told, metadata)
     onnx.checker.check_model(told)
     onnx.save(told, str(target))

@@ -6,6 +6,7 @@ curve.png               the same as a picture
 tensorboard/            the same for TensorBoard
 best.zip, last.zip      the policy that was best in evaluations, and the latest
 checkpoint/             all that a run needs to go on
+evaluations.jsonl       how well its policies do, a line for each time that they were evaluated
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ import os
 import shutil
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Any
 
 from stable_baselines3.common.base_class import BaseAlgorithm
 
@@ -86,6 +88,21 @@ class Run:
             if there[name] != value:
                 allowed = f"the run in {self.path} has {there[name]!r}"
                 raise refuse(InvalidRequest, name, value, allowed)
+
+    @property
+    def seed(self) -> int:
+        """Of networks, exploration and environments."""
+        return int(self.path.name.removeprefix("seed-"))
+
+    def evaluations(self) -> list[dict[str, Any]]:
+        """How well its policies do, oldest first, as ``python -m trocar.rl evaluate`` prints it."""
+        path = self.path / "evaluations.jsonl"
+        return [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
+
+    def add_evaluation(self, told: dict[str, Any]) -> None:
+        """Adds one to :meth:`evaluations`."""
+        with (self.path / "evaluations.jsonl").open("a") as file:
+            file.write(json.dumps(told) + "\n")
 
     def rows(self) -> list[Row]:
         """The curve: a row for each epoch, numbers by :data:`COLUMNS`."""

@@ -35,7 +35,7 @@ def read(path: Path) -> list[dict[str, Any]]:
 
 
 def markdown(evaluations: list[dict[str, Any]]) -> str:
-    """A row for each way of training (task, algorithm, options), a column for each test's options.
+    """A row for each way of training (task, algorithm, options), a column for each condition.
 
     Cells are means over policies and their standard deviation (of the sample), in % of successes,
     or returns for tasks without goals. A run's latest evaluation under the same options counts.
@@ -44,7 +44,8 @@ def markdown(evaluations: list[dict[str, Any]]) -> str:
     for each in evaluations:
         row = " ".join([each["task"], each["algo"], _named(each["trained_with"])])
         rate, score = each["success_rate"], each["mean_return"]
-        cells[row, _named(each["options"])][each["run"]] = score if rate is None else 100 * rate
+        tested = each.get("condition") or _named(each["options"])
+        cells[row, tested][each["run"]] = score if rate is None else 100 * rate
     rows, columns = (list(dict.fromkeys(names)) for names in zip(*cells, strict=True))
     lines = [["trained", *columns], ["---"] * (len(columns) + 1)]
     lines += [

@@ -39,6 +39,7 @@ def train(
     demos: str | os.PathLike[str] | None = None,
     server: str | None = None,
     threads: int = 1,
+    view: bool = False,
     say: Say = lambda line: print(line, file=sys.stderr, flush=True),
 ) -> Run:
     """Trains, and writes everything to ``out/TASK/ALGO/seed-SEED``.
@@ -53,6 +54,7 @@ def train(
         demos: Folder of a Minari data set to learn from; the server's expert if ``None``.
         server: Name of the server; one of its own if ``None``.
         threads: Of PyTorch; small networks need no more than one.
+        view: Whether to say where the server's live viewer shows it, which is then started.
         say: Takes lines for people.
 
     Raises:
@@ -62,6 +64,8 @@ def train(
     run.begin(config, resume)
     torch.set_num_threads(threads)
     with _served(server) as (name, server_pid):
+        if view:
+            say(f"Watch it at http://{Client.connect(name).viewer()}")
         clock = _Clock(server_pid)
         shown = None
         if config.demos and demos is not None:
