@@ -5,6 +5,7 @@
 
 mod array;
 mod client;
+mod columns;
 mod error;
 mod session;
 mod snapshot;

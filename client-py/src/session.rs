@@ -4,14 +4,15 @@ use std::collections::BTreeMap;
 use std::iter::repeat_n;
 use std::sync::{Mutex, MutexGuard, PoisonError, TryLockError};
 
-use numpy::{PyArray1, PyArray2, PyArrayMethods};
+use numpy::{PyArray1, PyArrayMethods};
 use pyo3::intern;
 use pyo3::prelude::*;
-use pyo3::types::{PyBytes, PyDict, PyString};
+use pyo3::types::{PyBytes, PyDict};
 use trocar_client::proto::spec::ImageKind;
 use trocar_client::{Code, Placement};
 
-use crate::array::{Part, check_shape, flags, listed, matrix, pictures, with_numbers};
+use crate::array::{Part, check_shape, flags, listed, pictures, with_numbers};
+use crate::columns;
 use crate::snapshot::Snapshot;
 use crate::spec::TaskSpec;
 use crate::{error, wait};
@@ -365,8 +366,6 @@ type Transition<'py> = (
     bool,
 );
 
-type Matrix<'py> = PyResult<Bound<'py, PyArray2<f32>>>;
-
 #[pymethods]
 impl Reply {
     #[getter]
@@ -391,46 +390,17 @@ impl Reply {
         PyArray1::from_iter(py, (0..reply.rows()).map(|row| i64::from(reply.env_id(row))))
     }
 
-    #[pyo3(signature = (copy=true))]
-    fn observation<'py>(slf: &Bound<'py, Self>, copy: bool) -> Matrix<'py> {
-        let width = slf.get().inner().spec().observation_dim();
-        matrix(slf, trocar_client::Reply::observation, width, copy)
+    /// The column of that name: a fresh array, or with `copy` false a view where rows have several numbers.
+    #[pyo3(signature = (name, copy=true))]
+    fn array<'py>(slf: &Bound<'py, Self>, name: &str, copy: bool) -> PyResult<Bound<'py, PyAny>> {
+        columns::array(slf, name, copy)
     }
 
-    #[pyo3(signature = (copy=true))]
-    fn achieved_goal<'py>(slf: &Bound<'py, Self>, copy: bool) -> Matrix<'py> {
-        let width = slf.get().inner().spec().goal_dim();
-        matrix(slf, trocar_client::Reply::achieved_goal, width, copy)
-    }
-
-    #[pyo3(signature = (copy=true))]
-    fn desired_goal<'py>(slf: &Bound<'py, Self>, copy: bool) -> Matrix<'py> {
-        let width = slf.get().inner().spec().goal_dim();
-        matrix(slf, trocar_client::Reply::desired_goal, width, copy)
-    }
-
-    #[pyo3(signature = (copy=true))]
-    fn final_observation<'py>(slf: &Bound<'py, Self>, copy: bool) -> Matrix<'py> {
-        let width = slf.get().inner().spec().observation_dim();
-        matrix(slf, trocar_client::Reply::final_observation, width, copy)
-    }
-
-    #[pyo3(signature = (copy=true))]
-    fn final_achieved_goal<'py>(slf: &Bound<'py, Self>, copy: bool) -> Matrix<'py> {
-        let width = slf.get().inner().spec().goal_dim();
-        matrix(slf, trocar_client::Reply::final_achieved_goal, width, copy)
-    }
-
-    #[pyo3(signature = (copy=true))]
-    fn final_desired_goal<'py>(slf: &Bound<'py, Self>, copy: bool) -> Matrix<'py> {
-        let width = slf.get().inner().spec().goal_dim();
-        matrix(slf, trocar_client::Reply::final_desired_goal, width, copy)
-    }
-
-    #[pyo3(signature = (copy=true))]
-    fn expert_action<'py>(slf: &Bound<'py, Self>, copy: bool) -> Matrix<'py> {
-        let width = slf.get().inner().spec().action_dim();
-        matrix(slf, trocar_client::Reply::expert_action, width, copy)
+    /// What infos tell of every row, by key; with `expert` also what the scripted expert would do.
+    fn infos<'py>(slf: &Bound<'py, Self>, expert: bool) -> PyResult<Bound<'py, PyDict>> {
+        let infos = PyDict::new(slf.py());
+        columns::infos(slf, expert, |key, _, array| infos.set_item(key, array))?;
+        Ok(infos)
     }
 
     /// Pictures by name, `rgb` or `rgb_left` and so on: arrays of shape (rows, …).
@@ -447,43 +417,6 @@ impl Reply {
         images(slf, [R::final_depth, R::final_points], R::final_rgb, R::final_mask, copy)
     }
 
-    fn expert_stage<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<u8>> {
-        PyArray1::from_slice(py, self.inner().expert_stage())
-    }
-
-    fn reward<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<f32>> {
-        PyArray1::from_slice(py, self.inner().reward())
-    }
-
-    fn terminated<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<bool>> {
-        flags(py, self.inner().terminated())
-    }
-
-    fn truncated<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<bool>> {
-        flags(py, self.inner().truncated())
-    }
-
-    fn is_success<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<bool>> {
-        flags(py, self.inner().is_success())
-    }
-
-    fn fault<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<bool>> {
-        flags(py, self.inner().fault())
-    }
-
-    fn steps<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<u32>> {
-        PyArray1::from_slice(py, self.inner().steps())
-    }
-
-    /// Seeds fit Gymnasium's signed integers.
-    fn episode_seed<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<i64>> {
-        PyArray1::from_iter(py, self.inner().seed().iter().map(|seed| *seed as i64))
-    }
-
-    fn episode_index<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<i64>> {
-        PyArray1::from_iter(py, self.inner().episode().iter().map(|episode| *episode as i64))
-    }
-
     /// What Gymnasium's vector environments return of a step, and whether somewhere an episode began.
     fn transition<'py>(
         slf: &Bound<'py, Self>,
@@ -492,63 +425,46 @@ impl Reply {
     ) -> PyResult<Transition<'py>> {
         let (py, reply) = (slf.py(), slf.get());
         let (has_goals, images) = (reply.has_goals(), reply.inner().spec().images.clone());
+        let array = |name| columns::array(slf, name, copy);
         let observation = if has_goals || images.is_some() {
             let state = match &images {
                 Some(_) => Self::images(slf, copy)?,
                 None => PyDict::new(py),
             };
             if images.is_none_or(|images| images.with_state) {
-                state.set_item(intern!(py, "observation"), Self::observation(slf, copy)?)?;
+                state.set_item(intern!(py, "observation"), array("observation")?)?;
             }
             if has_goals {
-                state.set_item(intern!(py, "achieved_goal"), Self::achieved_goal(slf, copy)?)?;
-                state.set_item(intern!(py, "desired_goal"), Self::desired_goal(slf, copy)?)?;
+                state.set_item(intern!(py, "achieved_goal"), array("achieved_goal")?)?;
+                state.set_item(intern!(py, "desired_goal"), array("desired_goal")?)?;
             }
             state.into_any()
         } else {
-            Self::observation(slf, copy)?.into_any()
+            array("observation")?
         };
-        let infos = PyDict::new(py);
-        let rows = reply.rows();
-        let tell = |key: &Bound<'py, PyString>, mask: &Bound<'py, PyString>, value| {
-            infos.set_item(key, value)?;
+        let (infos, rows) = (PyDict::new(py), reply.rows());
+        columns::infos(slf, expert, |key, mask, array| {
+            infos.set_item(key, array)?;
             infos.set_item(mask, PyArray1::from_iter(py, repeat_n(true, rows)))
-        };
-        tell(
-            intern!(py, "is_success"),
-            intern!(py, "_is_success"),
-            reply.is_success(py).into_any(),
-        )?;
-        let failed = (intern!(py, "simulation_failed"), intern!(py, "_simulation_failed"));
-        tell(failed.0, failed.1, reply.fault(py).into_any())?;
-        let seed = (intern!(py, "episode_seed"), intern!(py, "_episode_seed"));
-        tell(seed.0, seed.1, reply.episode_seed(py).into_any())?;
-        let index = (intern!(py, "episode_index"), intern!(py, "_episode_index"));
-        tell(index.0, index.1, reply.episode_index(py).into_any())?;
-        if expert {
-            let action = (intern!(py, "expert_action"), intern!(py, "_expert_action"));
-            tell(action.0, action.1, Self::expert_action(slf, true)?.into_any())?;
-            let stage = (intern!(py, "expert_stage"), intern!(py, "_expert_stage"));
-            tell(stage.0, stage.1, reply.expert_stage(py).into_any())?;
-        }
-        let begun = reply.inner().steps().contains(&0);
-        let (terminated, truncated) = (reply.terminated(py), reply.truncated(py));
-        Ok((observation, reply.reward(py), terminated, truncated, infos, begun))
+        })?;
+        let inner = reply.inner();
+        let begun = inner.steps().contains(&0);
+        let [terminated, truncated] =
+            [inner.terminated(), inner.truncated()].map(|bytes| flags(py, bytes));
+        let reward = PyArray1::from_slice(py, inner.reward());
+        Ok((observation, reward, terminated, truncated, infos, begun))
     }
 
-    /// Reward, terminated, truncated, success, fault, seed and episode of row 0, without arrays.
-    fn outcome(&self) -> (f32, bool, bool, bool, bool, u64, u64) {
-        let reply = self.inner();
+    /// Reward, terminated, truncated and infos of row 0, without arrays but the expert's action.
+    fn outcome<'py>(
+        slf: &Bound<'py, Self>,
+        expert: bool,
+    ) -> PyResult<(f32, bool, bool, Bound<'py, PyDict>)> {
+        let infos = columns::first_infos(slf, expert)?;
+        let reply = slf.get().inner();
         let first = |bytes: &[u8]| bytes.first().is_some_and(|byte| *byte != 0);
-        (
-            reply.reward().first().copied().unwrap_or_default(),
-            first(reply.terminated()),
-            first(reply.truncated()),
-            first(reply.is_success()),
-            first(reply.fault()),
-            reply.seed().first().copied().unwrap_or_default(),
-            reply.episode().first().copied().unwrap_or_default(),
-        )
+        let reward = reply.reward().first().copied().unwrap_or_default();
+        Ok((reward, first(reply.terminated()), first(reply.truncated()), infos))
     }
 }
 

@@ -3,6 +3,7 @@
 use std::sync::Arc;
 
 use trocar_proto::TaskSpec;
+use trocar_proto::columns::Flag;
 use trocar_proto::control::SessionInfo;
 use trocar_proto::wire::{PictureLayout, ReplyLayout};
 
@@ -57,134 +58,23 @@ impl Reply {
     pub fn spec(&self) -> &TaskSpec {
         &self.info.spec
     }
-
-    /// State after the transition, or after the autoreset: (rows, observation dim).
-    pub fn observation(&self) -> &[f32] {
-        self.layout.observation.view(self.raw.payload(), self.rows())
-    }
-
-    /// Achieved goal of that state: (rows, goal dim).
-    pub fn achieved_goal(&self) -> &[f32] {
-        self.layout.achieved_goal.view(self.raw.payload(), self.rows())
-    }
-
-    /// Desired goal of that state: (rows, goal dim).
-    pub fn desired_goal(&self) -> &[f32] {
-        self.layout.desired_goal.view(self.raw.payload(), self.rows())
-    }
-
-    /// Reward of the transition: (rows); 0 for a reset.
-    pub fn reward(&self) -> &[f32] {
-        self.layout.reward.view(self.raw.payload(), self.rows())
-    }
-
-    /// 1 where the episode ended in a terminal state: (rows).
-    pub fn terminated(&self) -> &[u8] {
-        self.layout.terminated.view(self.raw.payload(), self.rows())
-    }
-
-    /// 1 where the episode ended at its time limit, or because its simulation failed: (rows).
-    pub fn truncated(&self) -> &[u8] {
-        self.layout.truncated.view(self.raw.payload(), self.rows())
-    }
-
-    /// 1 where the transition ended in success, before any autoreset: (rows).
-    pub fn is_success(&self) -> &[u8] {
-        self.layout.is_success.view(self.raw.payload(), self.rows())
-    }
-
-    /// A [`Code`](trocar_proto::Code) where the environment's simulation failed, else 0: (rows).
-    pub fn fault(&self) -> &[u8] {
-        self.layout.fault.view(self.raw.payload(), self.rows())
-    }
-
-    /// Steps since the episode began: (rows); 0 after a reset or autoreset.
-    pub fn steps(&self) -> &[u32] {
-        self.layout.steps.view(self.raw.payload(), self.rows())
-    }
-
-    /// Seed of the episode: (rows).
-    pub fn seed(&self) -> &[u64] {
-        self.layout.seed.view(self.raw.payload(), self.rows())
-    }
-
-    /// Number of the episode under its seed: (rows).
-    pub fn episode(&self) -> &[u64] {
-        self.layout.episode.view(self.raw.payload(), self.rows())
-    }
-
-    /// Last observation of an episode that a same-step autoreset replaced: (rows, observation
-    /// dim); meaningful where terminated or truncated.
-    pub fn final_observation(&self) -> &[f32] {
-        self.layout.final_observation.view(self.raw.payload(), self.rows())
-    }
-
-    /// Its achieved goal: (rows, goal dim).
-    pub fn final_achieved_goal(&self) -> &[f32] {
-        self.layout.final_achieved_goal.view(self.raw.payload(), self.rows())
-    }
-
-    /// Its desired goal: (rows, goal dim).
-    pub fn final_desired_goal(&self) -> &[f32] {
-        self.layout.final_desired_goal.view(self.raw.payload(), self.rows())
-    }
-
-    /// The scripted expert's action for the returned state: (rows, action dim); zeros unless
-    /// [`Session::want_expert`] was set.
-    pub fn expert_action(&self) -> &[f32] {
-        self.layout.expert_action.view(self.raw.payload(), self.rows())
-    }
-
-    /// Red, green, blue of every pixel, a row for each environment: u8 (rows, views, height, width, 3); empty
-    /// where they are not asked for.
-    pub fn rgb(&self) -> &[u8] {
-        self.layout.rgb.view(self.raw.payload(), self.rows())
-    }
-
-    /// As [`Self::rgb`], of episodes that a same-step autoreset replaced; unspecified elsewhere.
-    pub fn final_rgb(&self) -> &[u8] {
-        self.layout.final_rgb.view(self.raw.payload(), self.rows())
-    }
-
-    /// Depth of every pixel along the optical axis, m: f32 (rows, views, height, width); empty where it is not
-    /// asked for.
-    pub fn depth(&self) -> &[f32] {
-        self.layout.depth.view(self.raw.payload(), self.rows())
-    }
-
-    /// As [`Self::depth`], of episodes that a same-step autoreset replaced; unspecified elsewhere.
-    pub fn final_depth(&self) -> &[f32] {
-        self.layout.final_depth.view(self.raw.payload(), self.rows())
-    }
-
-    /// The number of the body that every pixel shows, 0 for none: i32 (rows, views, height, width); empty
-    /// where they are not asked for.
-    pub fn mask(&self) -> &[i32] {
-        self.layout.mask.view(self.raw.payload(), self.rows())
-    }
-
-    /// As [`Self::mask`], of episodes that a same-step autoreset replaced; unspecified elsewhere.
-    pub fn final_mask(&self) -> &[i32] {
-        self.layout.final_mask.view(self.raw.payload(), self.rows())
-    }
-
-    /// Where every pixel's surface is in the axes of the camera, m: f32 (rows, views, height · width, 3); empty
-    /// where they are not asked for.
-    pub fn points(&self) -> &[f32] {
-        self.layout.points.view(self.raw.payload(), self.rows())
-    }
-
-    /// As [`Self::points`], of episodes that a same-step autoreset replaced; unspecified elsewhere.
-    pub fn final_points(&self) -> &[f32] {
-        self.layout.final_points.view(self.raw.payload(), self.rows())
-    }
-
-    /// The [`trocar_proto::Stage`] that the expert is in there, by number (rows); zeros unless
-    /// [`Session::want_expert`] was set.
-    pub fn expert_stage(&self) -> &[u8] {
-        self.layout.expert_stage.view(self.raw.payload(), self.rows())
-    }
 }
+
+macro_rules! columns {
+    ($($(#[$doc:meta])* $name:ident: $element:ident [$width:ident] $role:tt;)*) => {
+        /// Its columns; a row lies after the other.
+        impl Reply {
+            $(
+                $(#[$doc])*
+                pub fn $name(&self) -> &[$element] {
+                    self.layout.$name.view(self.raw.payload(), self.rows())
+                }
+            )*
+        }
+    };
+}
+
+trocar_proto::reply_columns!(columns);
 
 /// Which environments a request is about.
 #[derive(Debug, Clone, PartialEq, Eq)]

@@ -10,6 +10,7 @@
 //! | [`cause`] | why an operation of the transport failed, in its own words |
 //! | [`missing_page`] | making shared memory while there is none |
 //! | [`control`] | rare messages: hello, tasks, sessions, status (serde + bincode, at most 64 KiB) |
+//! | [`columns`] | what each environment's row of a reply holds |
 //! | [`wire`] | frequent messages: step and reset as plain arrays in shared memory |
 //! | [`spec`] | what a task looks like: actions, observations, goals, options |
 //! | [`goal`] | distance, success and reward as pure functions of goals |
@@ -37,6 +38,7 @@
 
 pub mod bell;
 pub mod cause;
+pub mod columns;
 pub mod control;
 pub mod door;
 pub mod endpoint;

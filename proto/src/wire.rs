@@ -6,7 +6,8 @@
 
 use iceoryx2::prelude::ZeroCopySend;
 
-use crate::spec::{ImageKind, ImageSpec, TaskSpec};
+use crate::columns::{Flag, Width};
+use crate::spec::{ImageSpec, TaskSpec};
 
 /// First word of every message: "TRCR".
 pub const MAGIC: u32 = u32::from_le_bytes(*b"TRCR");
@@ -187,101 +188,35 @@ impl RequestLayout {
     }
 }
 
-/// The arrays of a reply. Row r belongs to the r-th environment of the request.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct ReplyLayout {
-    /// f32 (rows, observation dim): state after the step, or after the autoreset.
-    pub observation: Region,
-    /// f32 (rows, goal dim).
-    pub achieved_goal: Region,
-    /// f32 (rows, goal dim).
-    pub desired_goal: Region,
-    /// f32 (rows): of the transition just made; 0 for a reset.
-    pub reward: Region,
-    /// u8 (rows): the episode ended in a terminal state.
-    pub terminated: Region,
-    /// u8 (rows): the episode ended at its time limit.
-    pub truncated: Region,
-    /// u8 (rows): success at the end of the transition, before any autoreset.
-    pub is_success: Region,
-    /// u8 (rows): a [`crate::Code`] where this environment's simulation failed, else 0.
-    pub fault: Region,
-    /// u32 (rows): steps since the episode began.
-    pub steps: Region,
-    /// u64 (rows): seed of the episode.
-    pub seed: Region,
-    /// u64 (rows): number of the episode under that seed.
-    pub episode: Region,
-    /// f32 (rows, observation dim): last observation of an episode that a same-step autoreset
-    /// replaced; unspecified where neither terminated nor truncated.
-    pub final_observation: Region,
-    /// f32 (rows, goal dim), as `final_observation`.
-    pub final_achieved_goal: Region,
-    /// f32 (rows, goal dim), as `final_observation`.
-    pub final_desired_goal: Region,
-    /// f32 (rows, action dim): the scripted expert's action for the returned state, if wanted.
-    pub expert_action: Region,
-    /// u8 (rows): the [`crate::Stage`] that the expert is in there, if wanted.
-    pub expert_stage: Region,
-    /// u64 (rows): the numbers of snapshots that were taken.
-    pub snapshot: Region,
-    /// u8 (rows, views · height · width · 3): red, green, blue.
-    pub rgb: Region,
-    /// f32 (rows, views · height · width), m.
-    pub depth: Region,
-    /// i32 (rows, views · height · width): numbers of bodies.
-    pub mask: Region,
-    /// f32 (rows, views · height · width · 3), m.
-    pub points: Region,
-    /// As `rgb`, of an episode that a same-step autoreset replaced.
-    pub final_rgb: Region,
-    /// As `depth`, of an episode that a same-step autoreset replaced.
-    pub final_depth: Region,
-    /// As `mask`, of an episode that a same-step autoreset replaced.
-    pub final_mask: Region,
-    /// As `points`, of an episode that a same-step autoreset replaced.
-    pub final_points: Region,
-    /// Size of the payload.
-    pub bytes: usize,
+macro_rules! reply_layout {
+    ($($(#[$doc:meta])* $name:ident: $element:ident [$width:ident] $role:tt;)*) => {
+        /// The arrays of a reply. Row r belongs to the r-th environment of the request.
+        #[derive(Debug, Clone, PartialEq, Eq)]
+        pub struct ReplyLayout {
+            $($(#[$doc])* pub $name: Region,)*
+            /// Size of the payload.
+            pub bytes: usize,
+        }
+
+        impl ReplyLayout {
+            /// The layout for a session of `envs` environments.
+            pub fn new(envs: usize, spec: &TaskSpec) -> Self {
+                let mut plan = Planner { rows: envs, end: 0 };
+                Self {
+                    $($name: plan.region::<$element>(Width::$width.of(spec)),)*
+                    bytes: plan.bytes().max(MIN_REPLY),
+                }
+            }
+
+            #[cfg(test)]
+            fn regions(&self) -> Vec<Region> {
+                vec![$(self.$name),*]
+            }
+        }
+    };
 }
 
-impl ReplyLayout {
-    /// The layout for a session of `envs` environments.
-    pub fn new(envs: usize, spec: &TaskSpec) -> Self {
-        let (observation, goal) = (spec.observation_dim(), spec.goal_dim());
-        let width = |kind: ImageKind| spec.pixels(kind) * kind.channels();
-        let [rgb, depth, mask, points] = ImageKind::ALL.map(width);
-        let mut plan = Planner { rows: envs, end: 0 };
-        Self {
-            observation: plan.region::<f32>(observation),
-            achieved_goal: plan.region::<f32>(goal),
-            desired_goal: plan.region::<f32>(goal),
-            reward: plan.region::<f32>(1),
-            terminated: plan.region::<u8>(1),
-            truncated: plan.region::<u8>(1),
-            is_success: plan.region::<u8>(1),
-            fault: plan.region::<u8>(1),
-            steps: plan.region::<u32>(1),
-            seed: plan.region::<u64>(1),
-            episode: plan.region::<u64>(1),
-            final_observation: plan.region::<f32>(observation),
-            final_achieved_goal: plan.region::<f32>(goal),
-            final_desired_goal: plan.region::<f32>(goal),
-            expert_action: plan.region::<f32>(spec.action_dim()),
-            expert_stage: plan.region::<u8>(1),
-            snapshot: plan.region::<u64>(1),
-            rgb: plan.region::<u8>(rgb),
-            depth: plan.region::<f32>(depth),
-            mask: plan.region::<i32>(mask),
-            points: plan.region::<f32>(points),
-            final_rgb: plan.region::<u8>(rgb),
-            final_depth: plan.region::<f32>(depth),
-            final_mask: plan.region::<i32>(mask),
-            final_points: plan.region::<f32>(points),
-            bytes: plan.bytes().max(MIN_REPLY),
-        }
-    }
-}
+crate::reply_columns!(reply_layout);
 
 /// A picture that was asked for, of one environment: colours or depth, both at the beginning of the payload.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -310,7 +245,7 @@ mod tests {
     use super::*;
     use crate::goal::{Reward, SuccessRule};
     use crate::relative::Relative;
-    use crate::spec::{Element, GoalSpec};
+    use crate::spec::{Element, GoalSpec, ImageKind};
 
     fn spec(action: usize, observation: usize, goal: usize) -> TaskSpec {
         let elements = |count| vec![Element::new("x", "world", "m", -1.0, 1.0); count];
@@ -354,33 +289,7 @@ mod tests {
         let all = with_images(plain.clone(), &ImageKind::ALL);
         for (envs, spec) in [(1, &plain), (3, &all), (64, &some), (4096, &plain)] {
             let layout = ReplyLayout::new(envs, spec);
-            let regions = [
-                layout.observation,
-                layout.achieved_goal,
-                layout.desired_goal,
-                layout.reward,
-                layout.terminated,
-                layout.truncated,
-                layout.is_success,
-                layout.fault,
-                layout.steps,
-                layout.seed,
-                layout.episode,
-                layout.final_observation,
-                layout.final_achieved_goal,
-                layout.final_desired_goal,
-                layout.expert_action,
-                layout.expert_stage,
-                layout.snapshot,
-                layout.rgb,
-                layout.depth,
-                layout.mask,
-                layout.points,
-                layout.final_rgb,
-                layout.final_depth,
-                layout.final_mask,
-                layout.final_points,
-            ];
+            let regions = layout.regions();
             for pair in regions.windows(2) {
                 assert!(pair[0].range(envs).end <= pair[1].offset);
             }

@@ -187,10 +187,10 @@ def observation(reply: _trocar.Reply, copy: bool) -> Arrays:
     """What a reply shows: arrays of shape (rows, ...)."""
     arrays: Arrays = reply.images(copy)
     if reply.has_state:
-        arrays["observation"] = reply.observation(copy)
+        arrays["observation"] = reply.array("observation", copy)
     if reply.has_goals:
-        arrays["achieved_goal"] = reply.achieved_goal(copy)
-        arrays["desired_goal"] = reply.desired_goal(copy)
+        arrays["achieved_goal"] = reply.array("achieved_goal", copy)
+        arrays["desired_goal"] = reply.array("desired_goal", copy)
     return arrays
 
 
@@ -198,10 +198,10 @@ def final_observation(reply: _trocar.Reply) -> Arrays:
     """The last of episodes that the same step replaced: arrays of shape (rows, ...)."""
     arrays: Arrays = reply.final_images()
     if reply.has_state:
-        arrays["observation"] = reply.final_observation()
+        arrays["observation"] = reply.array("final_observation")
     if reply.has_goals:
-        arrays["achieved_goal"] = reply.final_achieved_goal()
-        arrays["desired_goal"] = reply.final_desired_goal()
+        arrays["achieved_goal"] = reply.array("final_achieved_goal")
+        arrays["desired_goal"] = reply.array("final_desired_goal")
     return arrays
 
 

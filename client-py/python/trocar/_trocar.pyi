@@ -175,42 +175,14 @@ class Reply:
         """Whether the state is wanted, which it is unless only pictures are."""
     def env_ids(self) -> NDArray[np.int64]:
         """The environment of each row."""
-    def observation(self, copy: bool = True) -> NDArray[np.float32]:
-        """State after the transition, or after the autoreset: (rows, observation dim)."""
+    def array(self, name: str, copy: bool = True) -> NDArray[Any]:
+        """The column of that name, as ``trocar_client::Reply`` has it: (rows) or (rows, width)."""
+    def infos(self, expert: bool) -> dict[str, NDArray[Any]]:
+        """What infos tell of every row, by key; with ``expert`` also what the expert would do."""
     def images(self, copy: bool = True) -> dict[str, NDArray[Any]]:
         """Pictures by name, ``rgb`` or ``rgb_left`` and so on: arrays of shape (rows, ...)."""
     def final_images(self, copy: bool = True) -> dict[str, NDArray[Any]]:
         """As ``images``, of episodes that a same-step autoreset replaced."""
-    def achieved_goal(self, copy: bool = True) -> NDArray[np.float32]:
-        """Achieved goal of that state: (rows, goal dim)."""
-    def desired_goal(self, copy: bool = True) -> NDArray[np.float32]:
-        """Desired goal of that state: (rows, goal dim)."""
-    def final_observation(self, copy: bool = True) -> NDArray[np.float32]:
-        """Last observation of an episode that a same-step autoreset replaced."""
-    def final_achieved_goal(self, copy: bool = True) -> NDArray[np.float32]:
-        """Its achieved goal."""
-    def final_desired_goal(self, copy: bool = True) -> NDArray[np.float32]:
-        """Its desired goal."""
-    def expert_action(self, copy: bool = True) -> NDArray[np.float32]:
-        """The expert's action for the returned state; zeros unless it was wanted."""
-    def expert_stage(self) -> NDArray[np.uint8]:
-        """What the scripted expert is about there, by number in ``STAGES``: (rows)."""
-    def reward(self) -> NDArray[np.float32]:
-        """Reward of the transition: (rows); 0 for a reset."""
-    def terminated(self) -> NDArray[np.bool_]:
-        """Whether the episode ended in a terminal state: (rows)."""
-    def truncated(self) -> NDArray[np.bool_]:
-        """Whether it ended at its time limit, or because its simulation failed: (rows)."""
-    def is_success(self) -> NDArray[np.bool_]:
-        """Whether the transition ended in success, before any autoreset: (rows)."""
-    def fault(self) -> NDArray[np.bool_]:
-        """Whether the simulation failed: (rows)."""
-    def steps(self) -> NDArray[np.uint32]:
-        """Steps since the episode began: (rows); 0 after a reset or autoreset."""
-    def episode_seed(self) -> NDArray[np.int64]:
-        """Seed of the episode: (rows)."""
-    def episode_index(self) -> NDArray[np.int64]:
-        """Number of the episode under its seed: (rows)."""
     def transition(
         self, expert: bool, copy: bool
     ) -> tuple[
@@ -225,8 +197,8 @@ class Reply:
 
         The last value says whether somewhere an episode began.
         """
-    def outcome(self) -> tuple[float, bool, bool, bool, bool, int, int]:
-        """Reward, terminated, truncated, success, fault, seed and episode of row 0, no arrays."""
+    def outcome(self, expert: bool) -> tuple[float, bool, bool, dict[str, Any]]:
+        """Reward, terminated, truncated and infos of row 0, as plain numbers."""
 
 @final
 class Snapshot:

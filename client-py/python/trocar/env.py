@@ -32,6 +32,9 @@ from trocar._window import Window
 from trocar.errors import InvalidOption, ResetNeeded, refuse
 from trocar.snapshot import Snapshot
 
+Step = tuple[Observation, float, bool, bool, dict[str, Any]]
+"""Observation, reward, terminated, truncated, info."""
+
 
 class TrocarEnv(Described, GoalFunctions, gym.Env[Observation, NDArray[np.float32]]):
     """One environment of a task, simulated by a server.
@@ -174,18 +177,8 @@ class TrocarEnv(Described, GoalFunctions, gym.Env[Observation, NDArray[np.float3
 
     def _begun(self, reply: _trocar.Reply) -> tuple[Observation, dict[str, Any]]:
         """Observation and info of an episode that begins, or goes on elsewhere."""
-        *_, seed, episode = reply.outcome()
-        info = self._info(False, False, seed, episode)
-        return self._observation(reply, info), info
-
-    def _info(self, success: bool, failed: bool, seed: int, episode: int) -> dict[str, Any]:
-        self._episode = seed, episode
-        return {
-            "is_success": success,
-            "simulation_failed": failed,
-            "episode_seed": seed,
-            "episode_index": episode,
-        }
+        observation, *_, info = self._transition(reply)
+        return observation, info
 
     def _latest(self) -> Episodes | None:
         """Seed and number of the latest episode."""
@@ -194,14 +187,12 @@ class TrocarEnv(Described, GoalFunctions, gym.Env[Observation, NDArray[np.float3
         seed, episode = self._episode
         return np.array([seed], np.uint64), np.array([episode], np.uint64)
 
-    def step(self, action: ArrayLike) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+    def step(self, action: ArrayLike) -> Step:
         """Acts, and returns observation, reward, terminated, truncated, info."""
-        reply = self._connection.step(action, True)
-        reward, terminated, truncated, success, failed, *which = reply.outcome()
-        info = self._info(success, failed, *which)
+        transition = self._transition(self._connection.step(action, True))
         if self._window is not None:
             self._window.step()
-        return self._observation(reply, info), reward, terminated, truncated, info
+        return transition
 
     def snapshot(self) -> Snapshot:
         """Saves the present state, at any moment after the first reset.
@@ -256,12 +247,15 @@ class TrocarEnv(Described, GoalFunctions, gym.Env[Observation, NDArray[np.float3
         self._expert_action = None
         self._connection.close()
 
-    def _observation(self, reply: _trocar.Reply, info: dict[str, Any]) -> Observation:
-        if self._connection.expert:
-            self._expert_action = reply.expert_action()[0]
-            info["expert_action"] = self._expert_action.copy()
-            info["expert_stage"] = int(reply.expert_stage()[0])
-        return shown({name: rows[0] for name, rows in observation(reply, self._copy).items()})
+    def _transition(self, reply: _trocar.Reply) -> Step:
+        """A reply as Gymnasium's five values."""
+        expert = self._connection.expert
+        reward, terminated, truncated, info = reply.outcome(expert)
+        self._episode = info["episode_seed"], info["episode_index"]
+        if expert:
+            self._expert_action = info["expert_action"].copy()
+        rows = observation(reply, self._copy).items()
+        return shown({name: array[0] for name, array in rows}), reward, terminated, truncated, info
 
     def __getstate__(self) -> dict[str, Any]:
         return {**self.__dict__, "_expert_action": None}

@@ -369,7 +369,7 @@ class TrocarVectorEnv(
         """A reply as Gymnasium's five values, a row for each environment in it."""
         *values, infos, began = reply.transition(self._connection.expert, self._copy)
         if began and self.autoreset_mode is AutoresetMode.SAME_STEP:
-            infos |= _final(reply, reply.steps() == 0)
+            infos |= _final(reply, reply.array("steps") == 0)
         return (*values, infos)
 
     def _chosen(self, options: dict[str, Any] | None) -> NDArray[np.bool_]:
@@ -444,14 +444,14 @@ def _arrays(reply: _trocar.Reply, copy: bool) -> dict[str, NDArray[Any]]:
     return {
         **observation(reply, copy),
         **_episodes(reply),
-        "expert_action": reply.expert_action(copy),
-        "expert_stage": reply.expert_stage(),
+        "expert_action": reply.array("expert_action", copy),
+        "expert_stage": reply.array("expert_stage"),
     }
 
 
 def _episodes(reply: _trocar.Reply) -> dict[str, NDArray[Any]]:
     """Which episodes these are."""
-    return dict(zip(EPISODE, (reply.episode_seed(), reply.episode_index()), strict=True))
+    return dict(zip(EPISODE, (reply.array("seed"), reply.array("episode")), strict=True))
 
 
 def _masked(mask: NDArray[np.bool_], **values: NDArray[Any]) -> dict[str, Any]:
@@ -465,20 +465,15 @@ def _masked(mask: NDArray[np.bool_], **values: NDArray[Any]) -> dict[str, Any]:
 
 def _final(reply: _trocar.Reply, ended: NDArray[np.bool_]) -> dict[str, Any]:
     """The last observations and infos of episodes that the same step replaced."""
-    last = final_observation(reply)
+    last, infos = final_observation(reply), reply.infos(expert=False)
+    infos["episode_index"] -= 1
     observations = np.full(reply.rows, None, dtype=object)
     for row in np.flatnonzero(ended):
         observations[row] = shown({name: rows[row].copy() for name, rows in last.items()})
     return {
         "final_obs": observations,
         "_final_obs": ended.copy(),
-        "final_info": _masked(
-            ended,
-            is_success=reply.is_success(),
-            simulation_failed=reply.fault(),
-            episode_seed=reply.episode_seed(),
-            episode_index=reply.episode_index() - 1,
-        ),
+        "final_info": _masked(ended, **infos),
         "_final_info": ended.copy(),
     }
 

@@ -202,8 +202,7 @@ impl Batch {
         // States may have to be rebuilt before they are restored.
         self.untimed = !matches!(deed, Deed::Restore(_));
         // Pictures are drawn once all environments were stepped: a renderer may draw many at once.
-        let [pictures, final_pictures] =
-            [&mut rows.pictures, &mut rows.final_pictures].map(std::mem::take);
+        let [pictures, final_pictures] = rows.take_pictures();
         let has_pictures = self.envs[0].imaging().is_some();
         let mut finals: Vec<Option<Scene>> =
             vec![None; if has_pictures { env_ids.len() } else { 0 }];

@@ -1,42 +1,20 @@
 //! The arrays of a reply, row by row.
 
-use trocar_proto::wire::ReplyLayout;
+use std::mem::take;
+
+use trocar_proto::columns::Flag;
+use trocar_proto::wire::{Region, ReplyLayout};
 
 use crate::env::Shot;
 use crate::render::Scene;
 
-/// The first rows of every array of a reply, to be written. Widths in elements; see
-/// [`ReplyLayout`] for what they mean.
-#[derive(Debug)]
-pub(crate) struct Rows<'a> {
-    pub(crate) observation: Columns<'a, f32>,
-    pub(crate) achieved_goal: Columns<'a, f32>,
-    pub(crate) desired_goal: Columns<'a, f32>,
-    pub(crate) reward: Columns<'a, f32>,
-    pub(crate) terminated: Columns<'a, u8>,
-    pub(crate) truncated: Columns<'a, u8>,
-    pub(crate) is_success: Columns<'a, u8>,
-    pub(crate) fault: Columns<'a, u8>,
-    pub(crate) steps: Columns<'a, u32>,
-    pub(crate) seed: Columns<'a, u64>,
-    pub(crate) episode: Columns<'a, u64>,
-    pub(crate) final_observation: Columns<'a, f32>,
-    pub(crate) final_achieved_goal: Columns<'a, f32>,
-    pub(crate) final_desired_goal: Columns<'a, f32>,
-    pub(crate) expert_action: Columns<'a, f32>,
-    pub(crate) expert_stage: Columns<'a, u8>,
-    pub(crate) snapshot: Columns<'a, u64>,
-    pub(crate) pictures: Pictures<'a>,
-    pub(crate) final_pictures: Pictures<'a>,
-}
-
 /// The pictures of some rows.
 #[derive(Debug, Default)]
 pub(crate) struct Pictures<'a> {
-    rgb: Columns<'a, u8>,
-    depth: Columns<'a, f32>,
-    mask: Columns<'a, i32>,
-    points: Columns<'a, f32>,
+    rgb: Column<'a, u8>,
+    depth: Column<'a, f32>,
+    mask: Column<'a, i32>,
+    points: Column<'a, f32>,
 }
 
 impl<'a> Pictures<'a> {
@@ -66,18 +44,18 @@ impl<'a> Pictures<'a> {
 
 /// Some rows of one array.
 #[derive(Debug)]
-pub(crate) struct Columns<'a, T> {
+pub(crate) struct Column<'a, T> {
     cells: &'a mut [T],
     width: usize,
 }
 
-impl<T> Default for Columns<'_, T> {
+impl<T> Default for Column<'_, T> {
     fn default() -> Self {
         Self { cells: &mut [], width: 0 }
     }
 }
 
-impl<'a, T> Columns<'a, T> {
+impl<'a, T> Column<'a, T> {
     /// All rows, and empty ones without end where a row is empty.
     fn into_rows(self) -> impl Iterator<Item = &'a mut [T]> {
         let is_empty = self.width == 0;
@@ -86,7 +64,7 @@ impl<'a, T> Columns<'a, T> {
     }
 }
 
-impl<T> Columns<'_, T> {
+impl<T> Column<'_, T> {
     /// Row `row`.
     pub(crate) fn row(&mut self, row: usize) -> &mut [T] {
         &mut self.cells[row * self.width..(row + 1) * self.width]
@@ -99,89 +77,67 @@ impl<T> Columns<'_, T> {
     }
 }
 
-impl<'a> Rows<'a> {
-    /// The first `rows` rows of a reply's payload.
-    ///
-    /// # Panics
-    /// Where the payload is shorter than its layout.
-    pub(crate) fn of(layout: &ReplyLayout, payload: &'a mut [u8], rows: usize) -> Self {
-        // Regions lie one after another: each takes its part from the front of what is left.
-        let mut rest = payload;
-        let mut done = 0;
-        macro_rules! columns {
-            ($region:ident) => {{
-                let region = layout.$region;
-                let range = region.range(rows);
-                let (skipped, tail) = std::mem::take(&mut rest).split_at_mut(range.end - done);
-                let bytes = &mut skipped[range.start - done..];
-                rest = tail;
-                done = range.end;
-                Columns { cells: bytemuck::cast_slice_mut(bytes), width: region.width }
-            }};
+macro_rules! rows {
+    ($($(#[$doc:meta])* $name:ident: $element:ident [$width:ident] $role:tt;)*) => {
+        /// The first rows of every array of a reply, to be written.
+        #[derive(Debug)]
+        pub(crate) struct Rows<'a> {
+            $($(#[$doc])* pub(crate) $name: Column<'a, $element>,)*
         }
-        let rows = Self {
-            observation: columns!(observation),
-            achieved_goal: columns!(achieved_goal),
-            desired_goal: columns!(desired_goal),
-            reward: columns!(reward),
-            terminated: columns!(terminated),
-            truncated: columns!(truncated),
-            is_success: columns!(is_success),
-            fault: columns!(fault),
-            steps: columns!(steps),
-            seed: columns!(seed),
-            episode: columns!(episode),
-            final_observation: columns!(final_observation),
-            final_achieved_goal: columns!(final_achieved_goal),
-            final_desired_goal: columns!(final_desired_goal),
-            expert_action: columns!(expert_action),
-            expert_stage: columns!(expert_stage),
-            snapshot: columns!(snapshot),
-            pictures: Pictures {
-                rgb: columns!(rgb),
-                depth: columns!(depth),
-                mask: columns!(mask),
-                points: columns!(points),
-            },
-            final_pictures: Pictures {
-                rgb: columns!(final_rgb),
-                depth: columns!(final_depth),
-                mask: columns!(final_mask),
-                points: columns!(final_points),
-            },
-        };
-        debug_assert!(done + rest.len() == layout.bytes);
-        rows
-    }
 
-    /// The first `at` rows, and the rest.
-    pub(crate) fn split_at(self, at: usize) -> (Self, Self) {
-        macro_rules! split {
-            ($($field:ident),*) => {{
-                $(let $field = self.$field.split_at(at);)*
-                (Self { $($field: $field.0),* }, Self { $($field: $field.1),* })
-            }};
+        impl<'a> Rows<'a> {
+            /// The first `rows` rows of a reply's payload.
+            ///
+            /// # Panics
+            /// Where the payload is shorter than its layout.
+            pub(crate) fn of(layout: &ReplyLayout, payload: &'a mut [u8], rows: usize) -> Self {
+                // Regions lie one after another: each takes its part from the front of what is left.
+                let mut left = Left { bytes: payload, done: 0 };
+                let rows = Self { $($name: left.take(layout.$name, rows)),* };
+                debug_assert!(left.done + left.bytes.len() == layout.bytes);
+                rows
+            }
+
+            /// The first `at` rows, and the rest.
+            pub(crate) fn split_at(self, at: usize) -> (Self, Self) {
+                $(let $name = self.$name.split_at(at);)*
+                (Self { $($name: $name.0),* }, Self { $($name: $name.1),* })
+            }
         }
-        split!(
-            observation,
-            achieved_goal,
-            desired_goal,
-            reward,
-            terminated,
-            truncated,
-            is_success,
-            fault,
-            steps,
-            seed,
-            episode,
-            final_observation,
-            final_achieved_goal,
-            final_desired_goal,
-            expert_action,
-            expert_stage,
-            snapshot,
-            pictures,
-            final_pictures
-        )
+    };
+}
+
+trocar_proto::reply_columns!(rows);
+
+impl<'a> Rows<'a> {
+    /// Where pictures go: of states, and of the last states of episodes that were replaced. Nothing is left of them.
+    pub(crate) fn take_pictures(&mut self) -> [Pictures<'a>; 2] {
+        let Self { rgb, depth, mask, points, .. } = self;
+        let now =
+            Pictures { rgb: take(rgb), depth: take(depth), mask: take(mask), points: take(points) };
+        let Self {
+            final_rgb: rgb, final_depth: depth, final_mask: mask, final_points: points, ..
+        } = self;
+        let last =
+            Pictures { rgb: take(rgb), depth: take(depth), mask: take(mask), points: take(points) };
+        [now, last]
+    }
+}
+
+/// What of a payload no column has taken yet.
+struct Left<'a> {
+    bytes: &'a mut [u8],
+    /// Bytes before it.
+    done: usize,
+}
+
+impl<'a> Left<'a> {
+    /// The first `rows` rows of a region.
+    fn take<T: bytemuck::Pod>(&mut self, region: Region, rows: usize) -> Column<'a, T> {
+        let range = region.range(rows);
+        let (skipped, rest) = take(&mut self.bytes).split_at_mut(range.end - self.done);
+        let cells = bytemuck::cast_slice_mut(&mut skipped[range.start - self.done..]);
+        (self.bytes, self.done) = (rest, range.end);
+        Column { cells, width: region.width }
     }
 }

@@ -2,7 +2,8 @@
 //! bit by bit.
 
 use trocar_client::Reply;
-use trocar_proto::{Code, Options};
+use trocar_proto::columns::{Flag, Width};
+use trocar_proto::{Code, Options, TaskSpec, reply_columns};
 use trocar_server::tasks::Registry;
 use trocar_server::{Env, StepError};
 
@@ -18,22 +19,38 @@ pub(super) struct Twin {
     draws: Vec<u32>,
 }
 
-/// The arrays of a reply that are compared, row by row.
-#[derive(Debug)]
-struct Shown {
-    observation: Vec<f32>,
-    achieved_goal: Vec<f32>,
-    desired_goal: Vec<f32>,
-    reward: Vec<f32>,
-    terminated: Vec<u8>,
-    truncated: Vec<u8>,
-    is_success: Vec<u8>,
-    fault: Vec<u8>,
-    steps: Vec<u32>,
-    seed: Vec<u64>,
-    episode: Vec<u64>,
-    expert_action: Vec<f32>,
-    expert_stage: Vec<u8>,
+macro_rules! shown {
+    ($($(#[$doc:meta])* $name:ident: $element:ident [$width:ident] $role:tt;)*) => {
+        /// The arrays that a reply must have, row by row.
+        #[derive(Debug)]
+        struct Shown {
+            $($name: Vec<$element>,)*
+        }
+
+        impl Shown {
+            /// Nothing but zeros.
+            fn new(rows: usize, spec: &TaskSpec) -> Self {
+                Self { $($name: vec![Default::default(); rows * Width::$width.of(spec)],)* }
+            }
+
+            /// The first column that has other bits in a reply, and the row.
+            fn difference(&self, reply: &Reply, rows: usize) -> Option<(&'static str, usize)> {
+                $(if is_compared(stringify!($name))
+                    && let Some(row) = unlike(&self.$name, reply.$name(), rows)
+                {
+                    return Some((stringify!($name), row));
+                })*
+                None
+            }
+        }
+    };
+}
+
+reply_columns!(shown);
+
+/// Whether a column means something in every reply. Episodes that a step replaced do not occur here.
+fn is_compared(column: &str) -> bool {
+    !column.starts_with("final_") && column != "snapshot"
 }
 
 impl Twin {
@@ -42,23 +59,8 @@ impl Twin {
         let first = Registry::builtin().make(task, &Options::new())?;
         let spec = first.spec();
         let rows = envs as usize;
-        let floats = |width: usize| vec![0.0; rows * width];
-        let shown = Shown {
-            observation: floats(spec.observation_dim()),
-            achieved_goal: floats(spec.goal_dim()),
-            desired_goal: floats(spec.goal_dim()),
-            reward: floats(1),
-            terminated: vec![0; rows],
-            truncated: vec![0; rows],
-            is_success: vec![0; rows],
-            fault: vec![0; rows],
-            steps: vec![0; rows],
-            seed: vec![0; rows],
-            episode: vec![0; rows],
-            expert_action: floats(spec.action_dim()),
-            expert_stage: vec![0; rows],
-        };
-        let (actions, draws) = (floats(spec.action_dim()), vec![0; rows * spec.action_dim()]);
+        let shown = Shown::new(rows, spec);
+        let (actions, draws) = (shown.expert_action.clone(), vec![0; rows * spec.action_dim()]);
         Ok(Self { envs: vec![first; rows], seed, shown, actions, draws })
     }
 
@@ -109,32 +111,11 @@ impl Twin {
         &self.actions
     }
 
-    /// The array of a reply that is not what the twin shows, and where.
+    /// The column of a reply that is not what the twin shows, and where.
     pub(super) fn difference(&self, reply: &Reply) -> Option<String> {
-        let Shown { observation, achieved_goal, desired_goal, reward, .. } = &self.shown;
-        let Shown { terminated, truncated, is_success, fault, .. } = &self.shown;
-        let Shown { steps, seed, episode, expert_action, expert_stage, .. } = &self.shown;
-        let rows = self.envs.len();
-        let differs = [
-            ("observation", unlike(observation, reply.observation(), rows)),
-            ("achieved goal", unlike(achieved_goal, reply.achieved_goal(), rows)),
-            ("desired goal", unlike(desired_goal, reply.desired_goal(), rows)),
-            ("reward", unlike(reward, reply.reward(), rows)),
-            ("terminated", unlike(terminated, reply.terminated(), rows)),
-            ("truncated", unlike(truncated, reply.truncated(), rows)),
-            ("is_success", unlike(is_success, reply.is_success(), rows)),
-            ("fault", unlike(fault, reply.fault(), rows)),
-            ("steps", unlike(steps, reply.steps(), rows)),
-            ("seed", unlike(seed, reply.seed(), rows)),
-            ("episode", unlike(episode, reply.episode(), rows)),
-            ("expert action", unlike(expert_action, reply.expert_action(), rows)),
-            ("expert stage", unlike(expert_stage, reply.expert_stage(), rows)),
-        ];
-        differs.into_iter().find_map(|(array, row)| {
-            let row = row?;
-            let (seed, step) = (self.shown.seed[row], self.shown.steps[row]);
-            Some(format!("{array} of the environment of seed {seed} at step {step} differs"))
-        })
+        let (column, row) = self.shown.difference(reply, self.envs.len())?;
+        let (seed, step) = (self.shown.seed[row], self.shown.steps[row]);
+        Some(format!("{column} of the environment of seed {seed} at step {step} differs"))
     }
 
     /// The checksum of all that was shown so far, where `before` is that of all but the latest.
@@ -225,6 +206,12 @@ impl Bits for f32 {
 impl Bits for u8 {
     fn bits(self) -> u64 {
         self.into()
+    }
+}
+
+impl Bits for i32 {
+    fn bits(self) -> u64 {
+        u32::from_ne_bytes(self.to_ne_bytes()).into()
     }
 }
 

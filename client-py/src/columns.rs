@@ -1,0 +1,109 @@
+//! The columns of a reply as NumPy arrays, and as Gymnasium's infos.
+
+use numpy::PyArray1;
+use pyo3::exceptions::PyKeyError;
+use pyo3::intern;
+use pyo3::prelude::*;
+use pyo3::types::{PyDict, PyString};
+use trocar_client::proto::columns::Width;
+
+use crate::array::{flags, matrix};
+use crate::session::Reply;
+
+/// A column as an array: (rows) of Python's own kinds of numbers, or (rows, width).
+macro_rules! array {
+    ($reply:ident, $copy:expr, $name:ident Flag One) => {
+        flags($reply.py(), $reply.get().inner().$name()).into_any()
+    };
+    // Seeds fit Gymnasium's signed integers.
+    ($reply:ident, $copy:expr, $name:ident u64 One) => {{
+        let inner = $reply.get().inner();
+        PyArray1::from_iter($reply.py(), inner.$name().iter().map(|number| *number as i64))
+            .into_any()
+    }};
+    ($reply:ident, $copy:expr, $name:ident $element:ident One) => {
+        PyArray1::from_slice($reply.py(), $reply.get().inner().$name()).into_any()
+    };
+    ($reply:ident, $copy:expr, $name:ident $element:ident $width:ident) => {{
+        let width = Width::$width.of($reply.get().inner().spec());
+        matrix($reply, trocar_client::Reply::$name, width, $copy)?.into_any()
+    }};
+}
+
+/// Row 0 of a column: a number, or an array of them.
+macro_rules! first {
+    ($reply:ident, $name:ident Flag One) => {
+        $reply.get().inner().$name().first().is_some_and(|byte| *byte != 0)
+    };
+    ($reply:ident, $name:ident $element:ident One) => {
+        $reply.get().inner().$name().first().copied().unwrap_or_default()
+    };
+    ($reply:ident, $name:ident $element:ident $width:ident) => {
+        array!($reply, true, $name $element $width).get_item(0)?
+    };
+}
+
+/// Tells the macro `$then` of a column that infos have: its key, then what comes after the role.
+macro_rules! if_told {
+    ({}, $expert:ident, $then:ident!($($column:tt)*)) => {};
+    ({info $key:ident}, $expert:ident, $then:ident!($($column:tt)*)) => {
+        $then!($key, $($column)*)
+    };
+    ({expert $key:ident}, $expert:ident, $then:ident!($($column:tt)*)) => {
+        if $expert {
+            $then!($key, $($column)*);
+        }
+    };
+}
+
+macro_rules! tell_all {
+    ($key:ident, $reply:ident, $tell:ident, $($column:ident)*) => {{
+        let key = intern!($reply.py(), stringify!($key));
+        let mask = intern!($reply.py(), concat!("_", stringify!($key)));
+        $tell(key, mask, array!($reply, true, $($column)*))?;
+    }};
+}
+
+macro_rules! tell_first {
+    ($key:ident, $reply:ident, $infos:ident, $($column:ident)*) => {
+        $infos.set_item(intern!($reply.py(), stringify!($key)), first!($reply, $($column)*))?
+    };
+}
+
+macro_rules! columns {
+    ($($(#[$doc:meta])* $name:ident: $element:ident [$width:ident] $role:tt;)*) => {
+        /// The column of that name; where its rows have several numbers, `copy` decides as in [`matrix`].
+        pub(crate) fn array<'py>(
+            reply: &Bound<'py, Reply>,
+            name: &str,
+            copy: bool,
+        ) -> PyResult<Bound<'py, PyAny>> {
+            match name {
+                $(stringify!($name) => Ok(array!(reply, copy, $name $element $width)),)*
+                _ => Err(PyKeyError::new_err(name.to_string())),
+            }
+        }
+
+        /// Tells the columns that infos have: key, key of the mask, array. With `expert`, also the expert's.
+        pub(crate) fn infos<'py>(
+            reply: &Bound<'py, Reply>,
+            expert: bool,
+            mut tell: impl FnMut(&Bound<'py, PyString>, &Bound<'py, PyString>, Bound<'py, PyAny>) -> PyResult<()>,
+        ) -> PyResult<()> {
+            $(if_told!($role, expert, tell_all!(reply, tell, $name $element $width));)*
+            Ok(())
+        }
+
+        /// The same of row 0, as plain numbers.
+        pub(crate) fn first_infos<'py>(
+            reply: &Bound<'py, Reply>,
+            expert: bool,
+        ) -> PyResult<Bound<'py, PyDict>> {
+            let infos = PyDict::new(reply.py());
+            $(if_told!($role, expert, tell_first!(reply, infos, $name $element $width));)*
+            Ok(infos)
+        }
+    };
+}
+
+trocar_client::proto::reply_columns!(columns);
