@@ -7,7 +7,8 @@ Three measures, each with a bar:
 - how often `somebody`, `nobody` and the like do.
 
 Sentences end at full stops and with list items. Code in blocks, tables and addresses do not count;
-code inside a sentence counts as one word. `--list` prints every offence, not only those above a bar.
+code inside a sentence counts as one word. `--list` prints every offence, not only those above a
+bar.
 """
 
 from __future__ import annotations
