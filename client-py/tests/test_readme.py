@@ -11,7 +11,7 @@ import pytest
 
 ROOT = Path(__file__).parents[2]
 README = ROOT / "README.md"
-OTHERS = [ROOT / "ARCHITECTURE.md", ROOT / "SECURITY.md"]
+OTHERS = [ROOT / f"{name}.md" for name in ("ARCHITECTURE", "CHANGELOG", "CONTRIBUTING", "SECURITY")]
 DOCUMENTS = [README, *sorted((ROOT / "docs").glob("*.md")), *OTHERS]
 
 LARGEST = 10_000
@@ -66,9 +66,12 @@ def test_links_lead_to_files_and_headings(path: Path) -> None:
             assert heading in anchors(there), f"{name(path)} links to {target}"
 
 
-def test_every_document_is_linked_from_the_readme() -> None:
-    linked = {(ROOT / target.partition("#")[0]).resolve() for target in links(README)}
-    assert set(DOCUMENTS) - {README} <= linked
+def test_every_document_is_reached_from_the_readme() -> None:
+    reached = [README]
+    for path in reached:
+        targets = {(path.parent / target.partition("#")[0]).resolve() for target in links(path)}
+        reached += sorted(targets.intersection(DOCUMENTS).difference(reached))
+    assert set(DOCUMENTS) <= set(reached)
 
 
 @pytest.mark.parametrize("block", python_blocks())
