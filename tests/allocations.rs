@@ -155,7 +155,7 @@ fn run(session: &mut Session, actions: &mut [f32], groups: Option<[&[u32]; 2]>, 
     }
 }
 
-/// Ends a server, also where the test fails: who waits for it would wait for ever.
+/// Ends a server, also where the test fails: its thread would else be waited for without end.
 struct StopAtEnd<'a>(&'a StopSignal);
 
 impl Drop for StopAtEnd<'_> {
@@ -170,7 +170,7 @@ fn through_a_session() {
     let mut config = ServerConfig::new(name.parse().unwrap());
     config.threads = 1;
     let signal = StopSignal::default();
-    // Who answers rare messages, and looks who is alive.
+    // The thread that answers control messages, and looks for dead clients.
     let control = AtomicUsize::new(THREADS);
     std::thread::scope(|scope| {
         scope.spawn(|| {

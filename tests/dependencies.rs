@@ -1,4 +1,4 @@
-//! Who may depend on what, and who may import the transport and Python.
+//! Which crates may depend on what, and which files may import the transport and Python.
 
 use std::fs;
 use std::path::{Path, PathBuf};

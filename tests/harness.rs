@@ -39,7 +39,7 @@ pub(crate) struct Server {
 }
 
 impl Server {
-    /// A server with two threads and a name that nobody else has.
+    /// A server with two threads and a unique name.
     pub(crate) fn start() -> Self {
         Self::start_with(&["--threads", "2"])
     }
@@ -264,7 +264,7 @@ pub(crate) fn endpoint(name: &str) -> Endpoint {
     Endpoint::new(&name.parse().expect("the tests' names are good"))
 }
 
-/// A server name that nobody else has.
+/// A unique server name.
 pub(crate) fn unique_name() -> String {
     static COUNT: AtomicU32 = AtomicU32::new(0);
     format!("t{}-{}", std::process::id(), COUNT.fetch_add(1, Ordering::Relaxed))

@@ -1,4 +1,5 @@
-//! Whoever is killed or stopped, the others go on with the same bits, and nothing is left.
+//! Whichever process is killed or stopped, the others go on with the same bits, and nothing is
+//! left.
 
 use std::io::Write;
 use std::time::{Duration, Instant};
@@ -103,7 +104,7 @@ fn clients_of_a_killed_server_are_told_and_a_new_one_starts_at_once() {
     }
     let error = session.step(&[0.0; 3]).unwrap_err();
     assert!(matches!(error, CallError::ServerLost { closed: false, .. }), "{error}");
-    // However often it tries: nothing is sent that nobody takes.
+    // However often it tries, it sends nothing: no server would take it.
     for _ in 0..10 {
         assert!(matches!(session.step(&[0.0; 3]), Err(CallError::ServerLost { .. })));
         assert!(matches!(connected.status(), Err(CallError::ServerLost { .. })));
@@ -220,7 +221,7 @@ fn a_stopped_client_keeps_its_session() {
     let observer = server.connect();
     let mut waiting = Waiting::client(&server);
     waiting.0.signal(Signal::STOP);
-    // Several of the server's looks at who is alive.
+    // Several of the server's looks for dead clients.
     std::thread::sleep(Duration::from_secs(2));
     assert_eq!(sessions(&observer), 1);
     waiting.0.signal(Signal::CONT);
@@ -294,7 +295,7 @@ impl Family {
 #[test]
 fn a_private_server_ends_after_its_last_client() {
     let mut family = Family::start();
-    // Whoever started the server may go first, however it goes.
+    // The process that started the server may go first, however it goes.
     for mut member in family.members.drain(..4) {
         member.kill();
     }

@@ -7,9 +7,9 @@
 //! | `twin.rs` | the same environments in-process |
 //! | `conformance.rs` | one suite on in-process environments and on a remote session |
 //! | `parity.rs` | same seed and actions, same bits, however it is run |
-//! | `lifecycle.rs` | whoever is killed or stopped, the others go on and nothing is left |
+//! | `lifecycle.rs` | whichever process is killed or stopped, the others go on and nothing is left |
 //! | `images.rs` | pictures through a session |
-//! | `refusals.rs` | bad input is refused by name, and harms nobody |
+//! | `refusals.rs` | bad input is refused by name, and harms no other client |
 //! | `snapshots.rs` | snapshot, restore, fork; bytes that go to another server |
 //! | `placement.rs` | episodes that a reset arranges |
 //! | `reconnect.rs` | sessions that survive the loss of their server |
@@ -20,7 +20,7 @@
 //! | `fuzz.rs` | hostile bytes sent to a running server |
 //! | `rubbish.rs` | rubbish in what a server shares with its clients |
 //! | `namespaces.rs` | server and client in separate process namespaces |
-//! | `dependencies.rs` | who may depend on what |
+//! | `dependencies.rs` | which crates may depend on what |
 //!
 //! Every test starts its own server, waits under a watchdog, and finds nothing left at its end.
 

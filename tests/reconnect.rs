@@ -67,7 +67,7 @@ fn a_session_goes_on_from_its_checkpoint_with_its_twin_s_bits() {
     for _ in 0..2 {
         servers.last_mut().unwrap().process().kill();
         assert_lost(&session.step(&[0.0; 15]));
-        // Somebody starts another, some time later.
+        // A user starts another, some time later.
         let starter = std::thread::spawn({
             let name = name.clone();
             move || {

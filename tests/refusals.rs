@@ -1,5 +1,5 @@
-//! Bad input is refused by an error that names the field, its value and what is allowed; whoever
-//! sent it can go on, and so can everybody else.
+//! Bad input is refused by an error that names the field, its value and what is allowed; its client
+//! can go on, and so can all others.
 
 use std::fmt::Debug;
 

@@ -229,7 +229,7 @@ fn a_server_without_a_viewer_starts_one_when_it_is_asked_for() {
     let mut page = Page::connect(&address.to_string());
     let number = page.session();
     page.watch(number, 0, "live");
-    // It was simulated before anybody asked.
+    // It was simulated before the page asked.
     session.step(&[0.0; 3]).unwrap();
     let (frame, _) = page.frame();
     assert_eq!((frame.seed, frame.steps), (3, 1));
@@ -432,7 +432,7 @@ fn what_is_no_command_gets_an_error_and_harms_nothing() {
         let mut stream = TcpStream::connect(&theatre.address).unwrap();
         stream.set_read_timeout(Some(PATIENCE)).unwrap();
         stream.write_all(request).ok();
-        // Not closed from this side: the server need not answer who has gone.
+        // Not closed from this side: the server need not answer a client that has gone.
         let mut answer = vec![];
         stream.read_to_end(&mut answer).ok();
         String::from_utf8_lossy(&answer).into_owned()
@@ -487,7 +487,7 @@ fn a_page_that_does_not_read_holds_nobody_up() {
             session.step(&[0.1; 12]).unwrap();
         }
     }
-    // Whoever reads at last sees what is, not all that was.
+    // A page that reads at last sees what is, not all that was.
     let (frame, _) = page.frame();
     assert!(frame.marks.len() <= 1);
 }
@@ -501,7 +501,7 @@ fn so_many_pages_watch_and_no_more() {
     assert!(why.starts_with("503") && why.contains("no more"), "{why}");
     drop(pages.pop());
     eventually("a place is free", || Page::try_connect(&theatre.address, None).is_ok());
-    // Whoever connects and says nothing takes no more than there are places.
+    // Clients that connect and say nothing take no more than there are places.
     let silent: Vec<_> =
         (0..2 * MOST_CONNECTIONS).map(|_| TcpStream::connect(&theatre.address).unwrap()).collect();
     assert!(theatre.logged.server.process().open_files() <= files + MOST_CONNECTIONS + 4);

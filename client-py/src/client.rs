@@ -117,7 +117,7 @@ impl Client {
         Session::new(py, session)
     }
 
-    /// Who is connected, and how fast it runs.
+    /// The server's clients and sessions, and how fast it runs.
     fn status<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
         let status = self.call(py, trocar_client::Client::status)?;
         let json = serde_json::to_string(&status)

@@ -307,7 +307,7 @@ impl Drop for Session {
     fn drop(&mut self) {
         let session = self.open.get_mut().map_or_else(|e| e.into_inner().take(), Option::take);
         if let Some(session) = session {
-            // While the interpreter shuts down there is nobody to let run meanwhile.
+            // While the interpreter shuts down there is no other thread to let run meanwhile.
             let mut session = Some(session);
             Python::try_attach(|py| {
                 let session = session.take();
@@ -341,7 +341,7 @@ fn start_step(
 /// `copy=False` gives lie in shared memory and keep the reply there.
 #[pyclass(frozen, module = "trocar._trocar")]
 pub(crate) struct Reply {
-    /// Not for waiting, since nobody holds on to it, but to be shared between threads.
+    /// The lock is never held for long: it only lets threads share the reply.
     reply: Mutex<trocar_client::Reply>,
 }
 

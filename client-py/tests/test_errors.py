@@ -1,4 +1,4 @@
-"""Bad input gets an error that names the field, the value and what is allowed, and harms nobody."""
+"""Bad input gets an error that names the field, the value and what is allowed, and harms no other."""
 
 from __future__ import annotations
 

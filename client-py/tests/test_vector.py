@@ -162,7 +162,7 @@ def test_groups_in_flight_give_the_bits_of_whole_steps(task: str, mode: str, ser
     start, _ = whole.reset(seed=3)
     assert same(split.reset(seed=3)[0], start)
     for step in range(TASKS[task] - 1 if mode == "disabled" else TASKS[task] + 5):
-        # Nobody ends an episode early where that would need a reset.
+        # No episode ends early where that would need a reset.
         actions = whole.expert_action() if mode == "disabled" else actions_of(whole, step)
         expected = whole.step(actions)
         order = groups if step % 3 else groups[::-1]

@@ -36,7 +36,7 @@ pub struct Client {
 /// Where a server is found again.
 #[derive(Debug, Clone)]
 enum Origin {
-    /// Under this name, where somebody starts it.
+    /// Under this name, where a user starts it.
     Named(ServerName),
     /// It is started where it does not run.
     Private(private::PrivateServer),
@@ -177,7 +177,7 @@ impl Client {
         }
     }
 
-    /// Who is connected, and how fast it runs.
+    /// The server's clients and sessions, and how fast it runs.
     pub fn status(&self) -> Result<ServerStatus, CallError> {
         match self.call(&ControlRequest::Status)? {
             ControlReply::Status(status) => Ok(status),
@@ -194,8 +194,8 @@ impl Client {
         }
     }
 
-    /// The snapshots that were recorded since the last time, as bytes, and how many are missing since
-    /// nobody fetched them for long; to be called at least twice a minute.
+    /// The snapshots that were recorded since the last call, as bytes, and how many are missing
+    /// because this call came too late. Call it at least twice a minute.
     pub fn recorded(&self, session: u64) -> Result<(Vec<u8>, u64), CallError> {
         match self.call(&ControlRequest::Recorded { session })? {
             ControlReply::Recorded { bytes, lost } => Ok((bytes, lost)),

@@ -21,7 +21,7 @@ pub struct Reply {
     pub(crate) layout: Arc<ReplyLayout>,
     /// Of a picture that was asked for; there is nothing else then.
     pub(crate) picture: Option<Arc<PictureLayout>>,
-    /// Dropped last: as long as shared memory is used, nobody may remove it.
+    /// Dropped last: as long as shared memory is used, no process may remove it.
     pub(crate) _link: Arc<Owned<Link>>,
 }
 

@@ -36,7 +36,7 @@ pub struct Session {
     pub(crate) checkpoint: Option<Vec<u8>>,
     /// The groups of environments that were asked for last: asked for again, they cost no memory.
     groups: VecDeque<Arc<[u32]>>,
-    /// Numbers of snapshots that nobody has any more and that the server still keeps.
+    /// Numbers of snapshots that the client has dropped and that the server still keeps.
     dropped: Dropped,
     requests: u64,
     /// A request was not answered, and none will be.
@@ -51,7 +51,7 @@ struct InFlight {
     env_ids: EnvIds,
     /// Environments that it changes or reads.
     touched: EnvIds,
-    /// Nobody waits for the reply any more; it is received and dropped.
+    /// No caller waits for the reply any more; it is received and dropped.
     abandoned: bool,
 }
 
@@ -384,8 +384,8 @@ impl Session {
         self.recv()?.into_snapshot().ok_or_else(missing)
     }
 
-    /// Tells the server which snapshots nobody has any more. Where requests are in flight, some of
-    /// these may be about them: then later.
+    /// Tells the server which snapshots the client has dropped. Where requests are in flight, some
+    /// of these may be about them: then later.
     fn forget_dropped(&mut self) -> Result<(), CallError> {
         /// As many numbers as surely fit into a message.
         const AT_A_TIME: usize = 4096;
@@ -498,7 +498,7 @@ impl Session {
     ) -> Result<(), CallError> {
         while !self.settle(SLICE)? {}
         let port = self.port.get_mut()?;
-        // Where nobody takes requests any more, sending them would come to wait for ever.
+        // Where the server takes no requests any more, sending them would come to wait for ever.
         if self.ended {
             return Err(port.why_unanswered());
         }

@@ -27,7 +27,7 @@ impl Drop for State {
     }
 }
 
-/// Numbers of states that nobody has any more, for the session to tell the server.
+/// Numbers of states that the client has dropped, for the session to tell the server.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct Dropped(Arc<Mutex<Vec<u64>>>);
 

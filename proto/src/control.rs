@@ -40,7 +40,7 @@ pub enum ControlRequest {
         /// The client's transport node, as it introduced itself.
         node: u128,
     },
-    /// Asks who is connected and how fast it runs.
+    /// Asks for the server's clients and sessions, and how fast it runs.
     Status,
     /// Ends the server.
     Shutdown,
@@ -172,14 +172,14 @@ pub enum ControlReply {
     Recorded {
         /// Parts one after another, as [`crate::snapshot::split`] takes them; none where nothing is new.
         bytes: Vec<u8>,
-        /// States that are missing since nobody fetched the earlier ones in time.
+        /// States that are missing since the client did not fetch the earlier ones in time.
         lost: u64,
     },
     /// To [`ControlRequest::Viewer`]: where its page is served over HTTP.
     Viewer(SocketAddr),
 }
 
-/// Who a client is.
+/// A client, as it introduces itself.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct ClientInfo {
     /// The client's transport node: its death is how the server learns of the client's.
@@ -190,7 +190,7 @@ pub struct ClientInfo {
     pub language: String,
 }
 
-/// Who the server is.
+/// A server, as it introduces itself.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct ServerInfo {
     /// Name it serves under.

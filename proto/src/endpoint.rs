@@ -10,9 +10,10 @@
 //! | `…/server.lock` | locked exclusively by the running server; holds its process id and epoch |
 //! | `/dev/shm/trocar-<hash>.*` | shared memory of that server and its clients |
 //!
-//! The kernel drops a lock with the process that held it, however that ended. So whoever gets the
-//! exclusive lock on the folder knows that nobody uses it, and may remove all of it: that is how a
-//! new server starts at once after a crash, and how the last one out leaves nothing behind.
+//! The kernel drops a lock with the process that held it, however that ended. So a process that
+//! gets the exclusive lock on the folder knows that no other process uses it, and may remove all of
+//! it. That is how a new server starts at once after a crash, and how the last process out leaves
+//! nothing behind.
 
 use std::fmt;
 use std::fs::{self, File, OpenOptions};
@@ -143,8 +144,8 @@ impl Endpoint {
         &self.folder
     }
 
-    /// Joins the endpoint: creates the folder where it is missing and holds a shared lock on it.
-    /// Whoever finds that nobody else was there removes what crashed predecessors left.
+    /// Joins the endpoint: creates the folder where it is missing and holds a shared lock on it. A
+    /// process that finds itself alone removes what crashed predecessors left.
     pub fn join(&self) -> io::Result<Membership> {
         loop {
             match fs::DirBuilder::new().mode(0o700).create(&self.folder) {
@@ -166,14 +167,15 @@ impl Endpoint {
                 }
                 std::thread::sleep(Duration::from_millis(1));
             }
-            // Turning one lock into another is not atomic: somebody may have removed the folder.
+            // Turning one lock into another is not atomic: another process may have removed the
+            // folder.
             if membership.is_current() {
                 return Ok(membership);
             }
         }
     }
 
-    /// Removes all that is left under this name, unless somebody uses it. Returns whether it did.
+    /// Removes all that is left under this name, unless a process uses it. Returns whether it did.
     pub fn remove_if_unused(&self) -> io::Result<bool> {
         match self.open_folder()? {
             Some(membership) => membership.leave(),
@@ -361,8 +363,8 @@ fn folder_prefix() -> String {
     format!("trocar.{}.", rustix::process::getuid().as_raw())
 }
 
-/// A shared lock on an endpoint's folder: as long as it is held, nobody removes the folder.
-/// Whoever drops the last one removes it; so drop it after everything that uses shared memory.
+/// A shared lock on an endpoint's folder: as long as it is held, no process removes the folder. The
+/// process that drops the last one removes it; so drop it after everything that uses shared memory.
 #[derive(Debug)]
 pub struct Membership {
     endpoint: Endpoint,
@@ -420,7 +422,7 @@ impl Membership {
         config
     }
 
-    /// Removes everything if nobody else is there; returns whether it did.
+    /// Removes everything if no other process is there; returns whether it did.
     fn leave(&self) -> io::Result<bool> {
         if self.process != std::process::id()
             || !try_lock(&self.lock, FlockOperation::NonBlockingLockExclusive)?

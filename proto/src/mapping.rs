@@ -1,4 +1,4 @@
-//! Words in shared memory: a file that whoever opens it maps.
+//! Words in shared memory: a file that each process maps when it opens it.
 
 use std::fmt;
 use std::fs::{self, OpenOptions};
@@ -20,7 +20,7 @@ use rustix::mm::{MapFlags, ProtFlags};
 #[allow(unsafe_code)]
 pub(crate) unsafe trait Words: fmt::Debug + Send + Sync + 'static {}
 
-/// Words as they lie in shared memory. Who made them removes them.
+/// Words as they lie in shared memory. The process that made them removes them.
 pub(crate) struct Mapping<W: Words> {
     words: NonNull<W>,
     /// Where they are to be removed.

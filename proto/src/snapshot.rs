@@ -2,7 +2,7 @@
 //!
 //! The same seed and actions give the same bits, so the seed of an episode, its number, the placement with
 //! which it began and the actions since *are* the state, in a few hundred bytes and without a word about how
-//! it is laid out in memory. Bytes from anywhere can then do no more harm than actions can. Whoever
+//! it is laid out in memory. Bytes from anywhere can then do no more harm than actions can. The process that
 //! rebuilds a state compares its fingerprint with the one that was written down.
 //!
 //! One environment's part is: magic (8 bytes), protocol version, length of the body (u32 each),

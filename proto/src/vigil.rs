@@ -36,7 +36,8 @@ impl Vigil {
         Self { start: Instant::now(), longest: Self::LONGEST, asleep: 0, penalty: 0 }
     }
 
-    /// The wait for the message of one who `slept` until now begins.
+    /// The wait for the other side's message begins; `slept` says whether that side had to be woken
+    /// up.
     pub fn begin(&mut self, slept: bool) {
         self.start = Instant::now();
         self.longest = if slept { Self::LONGEST + Self::WAKING } else { Self::LONGEST };

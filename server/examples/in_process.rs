@@ -28,7 +28,7 @@ impl Seen {
     /// The arrays of an environment like `env`.
     ///
     /// # Safety
-    /// They have its sizes, and nobody else uses them meanwhile.
+    /// They have its sizes, and no other code uses them meanwhile.
     unsafe fn arrays<'a>(self, env: &Env) -> [&'a mut [f32]; 3] {
         let (observation, goal) = (env.spec().observation_dim(), env.spec().goal_dim());
         // SAFETY: the caller's promise.

@@ -533,9 +533,9 @@ impl Env {
         }
     }
 
-    /// Writes what is seen now: with this episode's noise on observed positions, within the bounds. What is
-    /// not finite is written as 0, so that nobody's statistics are lost to one environment; whether
-    /// all of it was finite.
+    /// Writes what is seen now: with this episode's noise on observed positions, within the bounds. A
+    /// number that is not finite is written as 0, so that one environment does not spoil a client's
+    /// statistics. Returns whether all of it was finite.
     fn look(&self, observation: &mut [f32], achieved: &mut [f32], desired: &mut [f32]) -> bool {
         let Sight { elements, has_state, has_features } = &self.sight;
         let shown = if *has_state { elements.len() } else { 0 };

@@ -145,7 +145,8 @@ fn the_same_state_is_perceived_the_same() {
         }
         let fresh = Registry::builtin().make(id, &options).unwrap();
         let imported = fresh.import(&first.export().unwrap()).unwrap();
-        // The same picture beside it changes nothing, nor does who else draws at the same time.
+        // The same picture beside it changes nothing, nor do other threads that draw at the same
+        // time.
         let both = observing(&["perceived", "state", "rgb"]);
         let beside = (0..4).into_par_iter().map(|_| {
             let mut env = env(id, &both, 5);

@@ -1,7 +1,7 @@
-//! What it costs a trainer that its session is watched. Four sessions of the same task, seed and actions take
-//! the same steps in turns: one of a server without a viewer, one of a server with one that nobody looks at,
-//! one that is watched live, one of which episodes are watched. Prints the median of the time for each over the
-//! first's in the same round, by the clock and by the server's CPU time, painting included.
+//! What it costs a trainer that its session is watched. Sessions of the same task, seed and actions take the
+//! same steps in turns. There are four: of a server without a viewer, of a server with a viewer that no page
+//! uses, watched live, and watched by episodes. Prints the median of the time for each over the first's in the
+//! same round, by the clock and by the server's CPU time, painting included.
 //!
 //! The watching page is a plain WebSocket client: a browser, which needs much more, is usually on another
 //! machine.

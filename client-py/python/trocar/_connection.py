@@ -81,7 +81,7 @@ def connect(server: str | None = None) -> _trocar.Client:
 
 
 def status(server: str | None = None) -> dict[str, Any]:
-    """Who is connected to a server and how fast it runs, as ``trocar status --json`` prints it."""
+    """A server's clients and sessions, and how fast it runs, as ``trocar status --json`` prints it."""
     return connect(server).status()
 
 
@@ -134,7 +134,7 @@ class Connection:
         if not isinstance(task, str):
             raise refused(InvalidOption, "task", task, "the id of a task, e.g. 'NeedleReach-v0'")
         self._patience = _seconds(reconnect)
-        # Weakly: environments end where nobody has them any more.
+        # Weakly: an environment ends where no reference to it is left.
         self._shown = weakref.WeakMethod(shown)
         self._latest = weakref.WeakMethod(latest)
         self._episodes: Episodes | None = None
@@ -264,7 +264,7 @@ class Connection:
         return seeds.astype(np.uint64), numbers.astype(np.uint64) + np.uint64(1)
 
     def _open(self, seed: int | None = None) -> _trocar.Session:
-        """Opens a session; without a seed, whose seed nobody knows, as Gymnasium wants it."""
+        """Opens a session. Without a seed, its seed is drawn at random, as Gymnasium wants it."""
         self._drop()
         seed = self._seed = secrets.randbits(62) if seed is None else seed
         for attempt in range(2):

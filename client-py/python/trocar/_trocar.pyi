@@ -84,7 +84,7 @@ class Client:
     ) -> Session:
         """Opens a session: one task, N environments, one seed, its options."""
     def status(self) -> dict[str, Any]:
-        """Who is connected, and how fast it runs."""
+        """The server's clients and sessions, and how fast it runs."""
     def viewer(self) -> str:
         """Where the live viewer is, as ``address:port``; it is started where there is none."""
     def shut_down(self) -> None:

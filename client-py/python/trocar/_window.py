@@ -37,7 +37,7 @@ class Window:
             _log.warning("there is no display; watch at %s", address)
 
     def step(self) -> None:
-        """Waits until as much time has passed as was simulated, where somebody watches."""
+        """Waits until as much time has passed as was simulated, where a page watches."""
         if not self._is_open:
             return
         now = time.monotonic()

@@ -145,7 +145,7 @@ class Server:
         self._forget()
 
     def status(self) -> dict[str, Any]:
-        """Who is connected, and how fast it runs, as ``trocar status --json`` prints it."""
+        """Its clients and sessions, and how fast it runs, as ``trocar status --json`` prints it."""
         return _trocar.Client.connect(self.name).status()
 
     def __enter__(self) -> Server:

@@ -87,12 +87,12 @@ def lengths(
 
 def test_they_begin_earlier_when_enough_succeed(envs: CurriculumVecEnv) -> None:
     assert envs.curriculum.level == LEVELS - 1
-    # Who does nothing never succeeds, and goes on beginning near the end.
+    # A policy that does nothing never succeeds, and goes on beginning near the end.
     idle = lengths(envs, 2000, lambda _: np.zeros((2, 1), np.float32))
     assert envs.curriculum.level == LEVELS - 1
     assert {level for level, _ in idle[2:]} == {LEVELS - 1}
     assert all((length == 50) == (level == 0) for level, length in idle)
-    # The expert, who acts a step late here, does.
+    # The expert does, although it acts a step late here.
     expert = lengths(envs, 4000, lambda infos: np.stack([info["expert_action"] for info in infos]))
     assert envs.curriculum.level == 0
     for level in range(1, LEVELS):

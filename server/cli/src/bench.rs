@@ -71,7 +71,7 @@ pub(crate) struct Bench {
     /// How many Rust clients at a time, each with so many environments; in-process, one has them all
     #[arg(long, value_delimiter = ',', default_values_t = [1], value_parser = clap::value_parser!(u32).range(1..=256))]
     clients: Vec<u32>,
-    /// Who acts
+    /// What chooses the actions
     #[arg(long, value_enum, value_delimiter = ',', default_values_t = [Policy::Random, Policy::Oracle])]
     policy: Vec<Policy>,
     /// Threads that step environments

@@ -7,8 +7,8 @@ use crate::exit::Exit;
 
 /// Remove what crashed servers and clients left in shared memory.
 ///
-/// Only what nobody uses is removed: every participant holds a lock that the kernel drops when the
-/// process ends, however it ends. A new server of the same name cleans up by itself, so this is
+/// Only what no process uses is removed: every participant holds a lock that the kernel drops when
+/// the process ends, however it ends. A new server of the same name cleans up by itself, so this is
 /// needed only where none follows.
 #[derive(Debug, Args)]
 #[command(after_help = "\
@@ -48,7 +48,7 @@ impl Clean {
     }
 }
 
-/// Removes what is left of one server unless somebody uses it; then says who.
+/// Removes what is left of one server, or says which processes use it.
 fn clean(endpoint: &Endpoint) -> anyhow::Result<Option<String>> {
     let name = endpoint.name();
     let files = endpoint.files()?.len();

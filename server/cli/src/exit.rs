@@ -19,7 +19,7 @@ pub(crate) enum Exit {
     Usage(String),
     /// No server runs.
     NoServer(String),
-    /// Somebody uses what should be removed.
+    /// A process uses what should be removed.
     InUse(String),
 }
 
@@ -36,7 +36,7 @@ impl Error for Exit {}
 pub(crate) fn report(done: anyhow::Result<()>) -> ExitCode {
     let Err(error) = done else { return ExitCode::SUCCESS };
     if is_broken_pipe(&error) {
-        // Whoever read our output (`head`, say) has seen enough.
+        // The reader of our output (`head`, say) has seen enough.
         return ExitCode::SUCCESS;
     }
     eprintln!("error: {error:#}");

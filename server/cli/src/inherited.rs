@@ -1,4 +1,4 @@
-//! Files that whoever started this process has left open to it.
+//! Files that the parent process has left open to this one.
 
 use std::os::fd::RawFd;
 

@@ -99,7 +99,8 @@ pub(crate) struct Load {
     /// Clients in Python instead of Rust
     #[arg(long)]
     python: bool,
-    /// Environments have the seeds from SEED on; it also decides who is killed and stopped
+    /// Environments have the seeds from SEED on; it also decides which clients are killed and
+    /// stopped
     #[arg(long, default_value_t = 0)]
     seed: u64,
     /// One JSON object on stdout

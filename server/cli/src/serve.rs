@@ -93,7 +93,7 @@ pub(crate) struct Serve {
 
 impl Serve {
     pub(crate) fn start_logging(&self) -> anyhow::Result<()> {
-        // Nobody reads what a private server says, unless it does not start.
+        // No user reads what a private server says, unless it does not start.
         self.logging.start(if self.private.is_some() { "warn" } else { "info" })
     }
 
@@ -131,7 +131,7 @@ impl Serve {
         let registry = Registry::builtin();
         let tasks = registry.ids().count();
         serve(registry, &config, &stop, || {
-            // A private server has no user who would read this, and a log collector is none.
+            // No user of a private server would read this, and a log collector does not want it.
             if config.linger.is_none() && !self.logging.is_json() {
                 announce(&config, tasks);
             }

@@ -1,4 +1,4 @@
-//! `trocar status`: running servers, who is connected and how fast they run.
+//! `trocar status`: running servers, their clients and how fast they run.
 
 use std::collections::BTreeMap;
 use std::io::{IsTerminal, Write};
@@ -17,7 +17,7 @@ const INTERVAL: Duration = Duration::from_secs(1);
 
 static INTERRUPTED: AtomicBool = AtomicBool::new(false);
 
-/// Show running servers: who is connected and how fast they run.
+/// Show running servers: their clients and how fast they run.
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
@@ -120,7 +120,8 @@ fn show_for_people(status: &ServerStatus, cpu_times: &mut CpuTimes) {
     let count = sessions.len();
     let plural = if count == 1 { "" } else { "s" };
     let folder = name.parse().map(|name| Endpoint::new(&name).folder().to_path_buf());
-    // The process id is the server's own idea of it: elsewhere it may be somebody else's.
+    // The process id is the server's own idea of it: in another namespace it may be another
+    // process's.
     let seen = folder.is_ok_and(|folder| usage::holds_files_in(*pid, &folder));
     let cores = if seen { cpu_times.cores(status) } else { None };
     let cpu = cores.map_or(String::new(), |cores| format!(", CPU {:.0} %", cores * 100.0));

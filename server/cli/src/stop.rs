@@ -39,7 +39,7 @@ impl Stop {
             return Err(ConnectError::NoServer { name: name.to_string() }.into());
         };
         let server = Running { endpoint: &endpoint, pid, epoch };
-        // A server that is stuck does not answer, so nobody waits for the answer as such.
+        // A server that is stuck does not answer, so the wait is for its end, not for the answer.
         let asked = thread::spawn({
             let name = name.clone();
             move || ask(&name)
@@ -105,8 +105,9 @@ impl Running<'_> {
             || holds_files_in(self.pid, self.endpoint.folder())
     }
 
-    /// Sends a signal and waits. The process id is the server's own idea of it, so the process must
-    /// be seen to hold the server's files: elsewhere that number may be somebody else.
+    /// Sends a signal and waits. The process id is the server's own idea of it; in another
+    /// namespace it may be another process's. So the process must be seen to hold the server's
+    /// files.
     fn signal(&self, signal: Signal) -> anyhow::Result<bool> {
         let pid = self.pid;
         let process = i32::try_from(pid).ok().and_then(Pid::from_raw);

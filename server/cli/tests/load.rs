@@ -1,5 +1,5 @@
-//! `trocar load` as a user meets it: nothing is amiss and nothing is left, whoever is killed or
-//! stopped.
+//! `trocar load` as a user meets it: nothing is amiss and nothing is left, whichever process is
+//! killed or stopped.
 
 #![allow(clippy::unwrap_used)] // a panic is a test's report
 

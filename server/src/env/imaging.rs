@@ -151,7 +151,7 @@ impl Imaging {
     pub(crate) fn draw(&self, shots: &mut [Shot<'_>]) {
         let pixels = self.spec.height * self.spec.width;
         let has = |kind| self.spec.kinds.contains(&kind);
-        // Points are made from the depth, which nobody else may want.
+        // Points are made from the depth, which may not be asked for itself.
         let needs_depth = has(ImageKind::Points) && !has(ImageKind::Depth);
         let pictures = shots.len() * self.eyes.len();
         let mut own_depth = vec![0.0; if needs_depth { pictures * pixels } else { 0 }];

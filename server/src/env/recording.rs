@@ -1,10 +1,10 @@
 //! Recordings: episodes of one environment as a file, from which they come again, bit by bit.
 //!
-//! A recording is exported snapshots one after another ([`trocar_proto::snapshot`]): of every episode one
-//! now and then, and one where it ended. Each has the task, its options, the seed, the placement and the actions since
-//! the episode began, which is all that the episode depends on, and a fingerprint of the state that came of it.
-//! So whoever plays a recording again sees at every snapshot whether it is still the same, bit by bit; and a
-//! trainer can import any of them and go on from there.
+//! A recording is exported snapshots one after another ([`trocar_proto::snapshot`]): of every episode one now and
+//! then, and one where it ended. Each has the task, its options, the seed, the placement and the actions since the
+//! episode began, which is all that the episode depends on, and a fingerprint of the state that came of it. So a
+//! program that plays a recording again sees at every snapshot whether it is still the same, bit by bit. A trainer can
+//! import any of them and go on from there.
 
 use std::collections::BTreeMap;
 

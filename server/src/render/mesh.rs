@@ -47,7 +47,7 @@ impl Mesh {
         let mut planes = [(); 4].map(|()| Vec::with_capacity(triangles.len()));
         for corners in &triangles {
             let [a, b, c] = corners.map(|corner| positions[corner as usize]);
-            // A triangle without an area has a plane that faces nobody, and everybody.
+            // A triangle without an area has a plane that faces no viewer, and every viewer.
             let out = (b - a).cross(&(c - a)).try_normalize(0.0).unwrap_or_default();
             let plane = [out.x, out.y, out.z, out.dot(&a.coords)];
             planes.iter_mut().zip(plane).for_each(|(all, number)| all.push(number as f32));

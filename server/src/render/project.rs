@@ -19,7 +19,7 @@ pub(super) struct Projection {
     pub(super) near: Option<f32>,
 }
 
-/// How far a triangle's normal may turn away from who looks and the triangle still be looked at more closely, rad:
+/// How far a triangle's normal may turn away from the eye and the triangle still be looked at more closely, rad:
 /// far more than rounding.
 const TURNED_AWAY: f32 = 1e-4;
 
@@ -60,7 +60,7 @@ pub(super) struct Faces {
     /// Unit normal in the world and key of each vertex, for shading.
     pub(super) normals: Vec<[f32; 4]>,
     pub(super) faces: Vec<Face>,
-    /// How much the triangles of a mesh face who looks.
+    /// How much the triangles of a mesh face the eye.
     facing: Vec<f32>,
 }
 
@@ -243,7 +243,7 @@ impl Faces {
     }
 }
 
-/// Writes how much each triangle of a mesh faces who looks, and returns how much it must at least to be looked at
+/// Writes how much each triangle of a mesh faces the eye, and returns how much it must at least to be looked at
 /// more closely.
 fn how_they_face(
     mesh: &Mesh,

@@ -1,7 +1,7 @@
 //! Which face each pixel shows: tile by tile, four pixels at a time.
 //!
-//! Every pixel of a tile is decided by the faces in their order, so the result does not depend on who draws
-//! which tile.
+//! Every pixel of a tile is decided by the faces in their order, so the result does not depend on which
+//! thread draws which tile.
 
 use wide::{f32x4, f32x8};
 

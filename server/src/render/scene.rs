@@ -56,7 +56,7 @@ pub struct Light {
 }
 
 impl Default for Light {
-    /// A theatre lamp over the right shoulder of whoever looks from +x.
+    /// A theatre lamp over the right shoulder of a viewer that looks from +x.
     fn default() -> Self {
         Self {
             direction: Vector3::new(0.38, 0.34, 0.86).normalize(),
@@ -67,7 +67,7 @@ impl Default for Light {
     }
 }
 
-/// The state of an arm's jaws, for whoever shows it in numbers.
+/// The state of an arm's jaws, to be shown in numbers.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Jaws {
     /// The arm, as its bodies' names begin: `psm1` or `psm2`.

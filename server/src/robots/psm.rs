@@ -143,7 +143,8 @@ impl Psm {
     /// joint is determined by the pose, apart from whole turns of the roll. So the solution nearest
     /// to `seed`, in any weighted joint distance, is the one whose roll is nearest; it is chosen
     /// among those within the limits (±260° hold one or two). Where the nearest turn is past the
-    /// limit, the result is a whole turn away from the seed: who moves in small steps compares.
+    /// limit, the result is a whole turn away from the seed: callers that move in small steps
+    /// compare.
     ///
     /// Two poses leave a joint open, both with the wrist inside the cannula; there the seed
     /// decides: the wrist-pitch axis at the remote centre, where the shaft's direction is open, and

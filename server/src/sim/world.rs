@@ -147,7 +147,7 @@ impl Part {
 pub enum Motion {
     /// Nothing.
     Fixed,
-    /// Whoever drives it, see [`World::drive`]; no force stops it.
+    /// Calls of [`World::drive`]; no force stops it.
     Driven,
     /// Forces.
     Free {

@@ -473,8 +473,8 @@ impl EcmArm {
         }
     }
 
-    /// What the camera's velocity is multiplied by in an action: the original's control law has the
-    /// opposite sign, which its expert and whoever learnt from it make up for.
+    /// What the camera's velocity is multiplied by in an action. The original's control law has the
+    /// opposite sign, for which its expert and policies that learnt from it make up.
     fn velocity_sign(&self) -> f64 {
         if self.preset == Preset::Surrol { -1.0 } else { 1.0 }
     }

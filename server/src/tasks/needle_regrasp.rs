@@ -4,8 +4,8 @@
 //!
 //! PSM1 holds the 40 mm needle near its swage. It hands the needle over in the air to PSM2, which
 //! grasps it near its point and brings that place within 5 mm of a goal. Goals are where PSM1 cannot
-//! bring the needle while it holds it, wherever it does: who is there has it in PSM2's hand alone.
-//! Fingers and needle touch by friction alone: nothing ever ties the needle to the jaws.
+//! bring the needle, wherever it holds it. A needle that is there is in PSM2's hand alone. Fingers
+//! and needle touch by friction alone: nothing ever ties the needle to the jaws.
 //!
 //! # Action Space
 //!

@@ -22,7 +22,7 @@ const PICTURE: Duration = Duration::from_millis(100);
 /// The painter takes for a page at most one part in so many of what a core can do: trainers want it too.
 const SHARE: u32 = 50;
 
-/// Whoever takes nothing for so long is not there any more.
+/// A page that takes nothing for so long is not there any more.
 const PATIENCE: Duration = Duration::from_secs(30);
 
 /// Serves a page until it goes or `ending` says that the server does.

@@ -87,8 +87,8 @@ impl AsyncWrite for Connection {
     }
 }
 
-/// Who may look: a browser lets every page of the web connect to this machine's ports, and names of the web
-/// may lead to this machine.
+/// Which requests are answered: a browser lets every page of the web connect to this machine's ports, and
+/// names of the web may lead to this machine.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Guests {
     /// It listens on loopback, so that it goes by this machine's names only.
@@ -116,7 +116,7 @@ impl Guests {
     }
 }
 
-/// Whether a host, with or without a port, is this machine by a name that nobody else gives.
+/// Whether a host, with or without a port, is this machine by a name that no other machine has.
 fn is_local(host: &str) -> bool {
     let name = match host.rsplit_once(':') {
         Some((name, port)) if port.bytes().all(|byte| byte.is_ascii_digit()) => name,
@@ -150,7 +150,7 @@ mod tests {
         for host in ["example.org:8080", "localhost.example.org", "10.0.0.3:8080", ""] {
             assert!(!check("127.0.0.1:8080", host, None), "{host}");
         }
-        // Whoever lets the network in chooses the names.
+        // A user that lets the network in chooses the names.
         assert!(check("0.0.0.0:8080", "lab.example.org", Some("http://lab.example.org")));
         assert!(!check("0.0.0.0:8080", "lab.example.org", Some("http://example.org")));
     }

@@ -76,7 +76,7 @@ pub enum Command {
 pub enum Notice<'a> {
     /// The first message.
     Hello {
-        /// Who this is.
+        /// What serves the page: a server, or recordings.
         #[serde(flatten)]
         about: &'a About,
     },

@@ -10,9 +10,9 @@
 //! | `painter.rs` | draws the endoscope's picture |
 //! | `door.rs` | how many may be connected, and from where |
 //!
-//! The page itself is built from `server/view` (`make viewer`). Whoever simulates puts *moments* into
-//! *windows* where they are wanted; poses become messages, and the endoscope's pictures are drawn, on the
-//! threads of the viewer. A page that is slow gets fewer moments.
+//! The page itself is built from `server/view` (`make viewer`). The simulating side puts *moments* into
+//! *windows* where they are wanted. The viewer's threads turn poses into messages and draw the
+//! endoscope's pictures. A page that is slow gets fewer moments.
 
 mod connection;
 mod door;

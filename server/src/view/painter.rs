@@ -16,7 +16,7 @@ use crate::render::{Canvas, Lens, Renderer, Scene, Software};
 /// Pixels along each side of a picture.
 const PIXELS: usize = 192;
 
-/// The least precedence that a thread can have: it runs where nobody else wants to.
+/// The least precedence that a thread can have: it runs where no other thread wants to.
 const LEAST: i32 = 19;
 
 /// A picture that is wanted.
@@ -63,7 +63,7 @@ fn work(orders: &Receiver<Order>) {
     let mut rgb = vec![0; 3 * PIXELS * PIXELS];
     for order in orders {
         let start = thread_time();
-        // Nobody may be looking any more.
+        // The page may be gone.
         if !order.finished.is_closed() && draw(&order.scene, &mut rgb) {
             match to_png(&rgb) {
                 Ok(png) => {

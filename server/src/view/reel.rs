@@ -1,5 +1,5 @@
 //! Recordings that are watched: each file is a session, each of its episodes an environment. An episode is
-//! simulated again for whoever watches it, as fast as that goes; the page plays it, back and forth.
+//! simulated again for each page that watches it, as fast as that goes; the page plays it, back and forth.
 
 use std::sync::Arc;
 use std::thread;

@@ -14,7 +14,7 @@ use crate::sim::world::Contact;
 
 /// What has environments to watch: a server, or a recording.
 pub trait Source: Send + Sync + 'static {
-    /// Who this is.
+    /// What this is: a server, or recordings.
     fn about(&self) -> About;
 
     /// What can be watched now.
@@ -25,7 +25,7 @@ pub trait Source: Send + Sync + 'static {
     fn watch(&self, session: u64, env: u32, window: &Arc<Window>) -> Result<(), String>;
 }
 
-/// Who has something to show.
+/// A source, as the page names it.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct About {
     /// Its name.
@@ -160,8 +160,8 @@ pub enum Pace {
     Episodes,
 }
 
-/// A place for moments between who simulates and who watches. Neither waits for the other: where there is
-/// no room, or the other is at it just then, a moment is not put there.
+/// A place for moments between a session and a page. Neither waits for the other: where there is no room,
+/// or the other is at it just then, a moment is not put there.
 #[derive(Debug, Default)]
 pub struct Window {
     pace: Pace,
@@ -276,7 +276,7 @@ mod tests {
         let window = Window::new(Pace::Episodes);
         let taken = (0..2 * Window::ROOM as u32).filter(|steps| window.put(moment(*steps))).count();
         assert_eq!(taken, Window::ROOM);
-        // Whoever looks at it holds nobody up.
+        // A page that looks at it does not hold the session up.
         let looking = window.moments.lock().unwrap();
         assert!(!window.put(moment(0)));
         drop(looking);

@@ -176,7 +176,7 @@ fn placement() -> Placement {
     Placement { goal: Some(vec![0.55, 0.0, 0.72]), objects, tip: None }
 }
 
-/// What led to the state of an environment that nobody has seen.
+/// What led to the state of an environment that was never observed.
 fn recipe(task: &str) -> Recipe {
     Recipe {
         version: env!("CARGO_PKG_VERSION").into(),

@@ -240,7 +240,7 @@ def test_the_end_of_the_server_is_said_and_survived(
         assert server.name in notice
         assert browser.run("document.body.dataset.link") == link
         assert not browser.run("document.querySelector('#notice').hidden")
-        # The next server at that address is found without anybody's help.
+        # The next server at that address is found without the user's help.
         port = server.address.rsplit(":", 1)[1]
         with Server(TRACK, port=port):
             browser.wait_for("document.body.dataset.link === 'open'")

@@ -205,7 +205,7 @@ def _collect(
         kept += sum(1 for _ in load(part))
     progress(done, kept)
     while done < recipe.episodes:
-        # Environments too many for the rest run episodes that nobody wants.
+        # Environments too many for the rest run episodes that are dropped.
         count = min(session.num_envs, recipe.episodes - done)
         seeds = [check_seed(recipe.seed + done + row) for row in range(session.num_envs)]
         episodes = run(session, seeds)[:count]

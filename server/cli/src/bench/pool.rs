@@ -1,4 +1,4 @@
-//! Random actions, drawn before they are needed: the same for everybody who is measured.
+//! Random actions, drawn before they are needed: the same in every mode that is measured.
 
 use std::path::{Path, PathBuf};
 

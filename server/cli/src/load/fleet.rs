@@ -22,8 +22,8 @@ use crate::usage;
 /// The program of the Python clients, twin of [`super::worker`].
 const PYTHON_CLIENT: &str = include_str!("worker.py");
 
-/// How long a client is stopped, s: around the quarter of a second after which the server looks who
-/// is alive, and several of these.
+/// How long a client is stopped, s: around the quarter of a second after which the server looks for
+/// dead clients, and several of these.
 const STOPPED: (f64, f64) = (0.1, 1.0);
 
 /// What a client is written in.

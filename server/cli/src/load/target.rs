@@ -1,4 +1,4 @@
-//! The server under load: asked again and again who is connected, restarted, and looked at for what
+//! The server under load: asked again and again for its sessions, restarted, and looked at for what
 //! the load leaves behind.
 
 use std::collections::BTreeSet;
@@ -41,7 +41,8 @@ impl Target {
         };
         let client = Client::connect(name.as_str())?;
         let endpoint = Endpoint::new(&name);
-        // The process id is the server's own idea of it: elsewhere it may be somebody else's.
+        // The process id is the server's own idea of it: in another namespace it may be another
+        // process's.
         let pid =
             Some(client.server().pid).filter(|pid| usage::holds_files_in(*pid, endpoint.folder()));
         Ok(Self { name, endpoint, pid, own, observer: Observer::start(client) })
@@ -181,7 +182,7 @@ impl Seen {
     }
 }
 
-/// Asks on a thread of its own: a server that does not answer holds nobody else up.
+/// Asks on a thread of its own: a server that does not answer holds no other thread up.
 struct Observer {
     seen: Arc<Mutex<Seen>>,
     told_to_end: Arc<AtomicBool>,

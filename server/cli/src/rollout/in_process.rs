@@ -1,4 +1,4 @@
-//! Episodes in this process: every thread takes the next one that nobody has taken.
+//! Episodes in this process: every thread takes the next one that no other has taken.
 
 use std::num::NonZero;
 use std::sync::atomic::{AtomicU32, Ordering};

@@ -28,9 +28,9 @@ pub struct Push {
 /// A place where two bodies pressed on each other in the last substep.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Contact {
-    /// Who feels the force: the free object of both, where only one is.
+    /// The body that feels the force: the free object of both, where only one is.
     pub on: BodyId,
-    /// Who exerts it.
+    /// The body that exerts it.
     pub by: BodyId,
     /// Where, m.
     pub point: Point3<f64>,
