@@ -1,4 +1,4 @@
-"""Bad input gets an error that names the field, the value and what is allowed, and harms no other."""
+"""Bad input gets an error that names the field, the value and what is allowed, and does no harm."""
 
 from __future__ import annotations
 

@@ -1,20 +1,20 @@
 //! What tells a client that a reply is there: a count in shared memory, which both sides of a session see. Where
 //! the client sleeps meanwhile, and where the server is told of requests, is the [`door`](crate::door).
 //!
-//! Who has sent a reply *rings*: counts one up. Who waits compares the count with the one before it last
-//! looked. As long as it is awake, that is all, and nobody calls the kernel. Before it sleeps, it says so and
-//! looks once more; who rings then sees that and has it woken up. No ring is missed:
+//! A worker that has sent a reply *rings*: it increments the count. The client compares the count with the one before
+//! it last looked. As long as the client is awake, that is all, and neither side calls the kernel. Before the client
+//! sleeps, it says so and looks once more. The worker then sees that and has the client woken up. No ring is missed:
 //!
-//! | who rings | who sleeps |
+//! | the worker | the client |
 //! |---|---|
-//! | 1. counts one up | 1. says that it sleeps |
-//! | 2. reads whether the other sleeps | 2. reads the count, and does not sleep if it is a new one |
+//! | 1. increments the count | 1. says that it sleeps |
+//! | 2. reads whether the client sleeps | 2. reads the count, and does not sleep if it is a new one |
 //!
-//! All four are sequentially consistent, so one of the first steps comes before the other one's
-//! second: it is woken up or does not sleep.
+//! All four accesses are sequentially consistent, so one side's first step comes before the other side's second: the
+//! client is woken up or does not sleep.
 //!
-//! Both sides can write to both words. What is wrong there costs the session time and nothing else:
-//! every wait has an end, and then its caller looks whatever the word says.
+//! Both sides can write to both words. A wrong word costs the session time and nothing else: every wait has an end, and
+//! then its caller looks whatever the word says.
 
 use std::fs;
 use std::io;
@@ -129,7 +129,7 @@ mod tests {
     }
 
     #[test]
-    fn they_are_removed_by_who_made_them() {
+    fn they_are_removed_by_their_maker() {
         let (membership, made, opened) = pair("bells");
         let endpoint = membership.endpoint();
         let path = endpoint.bells(7, 1);
@@ -138,7 +138,7 @@ mod tests {
         assert_eq!(opened.size(), Size::Large);
         made.set_size(Size::Small);
         assert_eq!(opened.size(), Size::Small);
-        assert!(!made.reply().ring(), "nobody sleeps");
+        assert!(!made.reply().ring(), "the client is awake");
         opened.reply().set_asleep(true);
         assert!(made.reply().ring());
         assert_eq!(opened.reply().count(), 2);

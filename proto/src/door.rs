@@ -1,23 +1,24 @@
-//! Where a server and its clients sleep, and what wakes them up: words in shared memory that all of them look at.
+//! A doorbell: where a server and its clients sleep, and what wakes them up. It is words in shared memory that all of
+//! them read.
 //!
-//! Each session has a *seat*, one bit of a line that says who has sent something; whoever looks for work takes all bits
-//! at once, so messages that arrived together are answered one after another, and nobody is woken up for each.
+//! Each session has a *seat*, one bit of a bitmap. A client that has sent a message sets its bit. A worker that looks
+//! for work takes all bits at once. So messages that arrived together are answered one after another, without a wake-up
+//! for each.
 //!
-//! | who rings | who is about to sleep |
+//! | a client that rings | a worker that is about to sleep |
 //! |---|---|
 //! | 1. sets its bit | 1. says that it wants to be woken up, as which [`Listener`] |
-//! | 2. reads whether it should wake somebody up | 2. reads the bits, and does not sleep if there are any |
+//! | 2. reads whether a worker wants to be woken up | 2. reads the bits, and does not sleep if there are any |
 //!
-//! All four are sequentially consistent, so no ring is missed. Who wakes somebody up takes that word back: it is
-//! one who is woken up, however many ring before it looks.
+//! All four accesses are sequentially consistent, so no ring is missed. A client that wakes a worker up clears the
+//! worker's word. So one worker is woken up, however many clients ring before it looks.
 //!
-//! Clients sleep here as well, so that many who got their replies one after another are woken up together: on a
-//! processor that they share, the kernel would else change to each of them and back. Whether a reply is there, their
-//! [bells](crate::bell) say.
+//! Clients sleep here as well. Many that got their replies one after another are woken up together: on a processor that
+//! they share, the kernel would else change to each of them and back. Their [bells](crate::bell) say whether a reply is
+//! there.
 //!
-//! Every client of a server can write to all of it. What is wrong there costs time and nothing else: a bit says
-//! that a message may be there and not that one is, and threads of the server look at every seat, whatever the
-//! words say, several times a second.
+//! Every client of a server can write to all of it. A wrong word costs time and nothing else: a bit says that a message
+//! may be there and not that one is. Workers look at every seat several times a second, whatever the words say.
 
 use std::io;
 use std::num::NonZeroU32;
@@ -34,7 +35,7 @@ pub const SEATS: usize = MAX_CLIENTS;
 
 const LINES: usize = SEATS / 64;
 
-/// Clients who sleep on the same word, each as one bit.
+/// Clients that sleep on the same word, each as one bit.
 const GROUP: usize = 32;
 const GROUPS: usize = SEATS / GROUP;
 
@@ -54,7 +55,7 @@ impl Size {
         if word == Self::Small as u32 { Self::Small } else { Self::Large }
     }
 
-    /// Who may be woken up for a request of this size, one after the other.
+    /// The kinds of worker that may be woken up for a request of this size, in order of preference.
     fn listeners(self) -> &'static [Listener] {
         match self {
             Self::Small => &[Listener::Small, Listener::Any],
@@ -63,7 +64,7 @@ impl Size {
     }
 }
 
-/// Who sleeps at the door on the side of the server.
+/// A worker that sleeps at the door.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Listener {
     /// One that is there for whatever is asked for.
@@ -152,7 +153,7 @@ impl Door {
     }
 
     /// Says that the session at `seat` has sent something, whose size is expected to be `size`. Returns whether
-    /// somebody had to be woken up for that.
+    /// a worker had to be woken up for that.
     pub fn ring(&self, seat: u32, size: Size) -> bool {
         let seat = seat as usize % SEATS;
         self.0.rung[seat / 64].fetch_or(1 << (seat % 64), Ordering::SeqCst);
@@ -166,12 +167,12 @@ impl Door {
         })
     }
 
-    /// Whether anybody has rung since the bits were last taken.
+    /// Whether a client has rung since the bits were last taken.
     pub fn is_rung(&self) -> bool {
         self.0.rung.iter().any(|line| line.load(Ordering::SeqCst) != 0)
     }
 
-    /// The seats of those who have rung; they have not any more.
+    /// The seats of the clients that have rung; their bits are cleared.
     pub fn take(&self) -> impl Iterator<Item = u32> {
         self.0.rung.iter().zip(0..).flat_map(|(line, number)| {
             let unread = line.load(Ordering::SeqCst) != 0;
@@ -189,7 +190,7 @@ impl Door {
         self.post(listener).alert.load(Ordering::SeqCst) != 0
     }
 
-    /// Says whether one does. Look whether anybody has rung before you sleep.
+    /// Says whether one does. Look whether a client has rung before you sleep.
     pub fn set_alert(&self, listener: Listener, alert: bool) {
         self.post(listener).alert.store(alert.into(), Ordering::SeqCst);
     }
@@ -220,7 +221,7 @@ impl Door {
     pub fn await_reply(&self, seat: u32, bell: &Bell, seen: u32, limit: Duration) -> Woken {
         let (group, bit) = place(seat);
         let word = &self.0.replies.0[group];
-        // Before it says that it sleeps: whoever wakes it up from then on changes this, and it does not fall asleep.
+        // Before it says that it sleeps: a worker that wakes it up from then on changes this, and it does not fall asleep.
         let before = word.load(Ordering::SeqCst);
         bell.set_asleep(true);
         let rung = bell.count() != seen;
@@ -260,12 +261,12 @@ mod tests {
     }
 
     #[test]
-    fn who_has_rung_is_taken_once() {
+    fn each_ring_is_taken_once() {
         let (_membership, server, client) = pair("door-bits");
         assert!(!server.is_rung());
         let last = SEATS as u32 - 1;
         for seat in [last, 0, 63, 64, 63] {
-            assert!(!client.ring(seat, Size::Small), "nobody sleeps");
+            assert!(!client.ring(seat, Size::Small), "no worker sleeps");
         }
         assert!(server.is_rung());
         assert_eq!(server.take().collect::<Vec<_>>(), [0, 63, 64, last]);
@@ -276,7 +277,7 @@ mod tests {
     }
 
     #[test]
-    fn one_is_woken_up_who_wants_that_and_for_what_is_small_its_own_listener_first() {
+    fn a_small_request_wakes_the_small_listener_first_and_any_other_one_that_wants_it() {
         use Listener::{Any, Small};
         let (_membership, server, client) = pair("door-alert");
         for (alert, size, woken) in [
@@ -353,12 +354,12 @@ mod tests {
         let bells = Bells::make(membership.endpoint(), 7, 1).unwrap();
         let bell = bells.reply();
         assert_eq!(client.await_reply(3, bell, 0, Duration::from_millis(1)), Woken::Late);
-        assert!(!bell.ring(), "nobody sleeps");
+        assert!(!bell.ring(), "the client is awake");
         assert_eq!(client.await_reply(3, bell, 0, LONG), Woken::Rung);
     }
 
     #[test]
-    fn it_is_removed_by_who_made_it() {
+    fn it_is_removed_by_its_maker() {
         let (membership, made, opened) = pair("door-file");
         let path = membership.endpoint().door(7);
         drop(opened);

@@ -1,4 +1,4 @@
-//! Threads that sleep on a word in shared memory until somebody wakes them up (futex(2)).
+//! Threads that sleep on a word in shared memory until another thread wakes them up (futex(2)).
 
 use std::num::NonZeroU32;
 use std::sync::atomic::AtomicU32;
@@ -29,7 +29,7 @@ impl Woken {
     }
 }
 
-/// Sleeps until somebody is woken up at `word`, at most for `limit`; not at all where the word is not `seen`.
+/// Sleeps until a thread is woken up at `word`, at most for `limit`; not at all where the word is not `seen`.
 pub(crate) fn wait(word: &AtomicU32, seen: u32, limit: Duration) -> Woken {
     Woken::of(futex::wait(word, Flags::empty(), seen, Some(&timespec(limit))))
 }
@@ -42,13 +42,13 @@ pub(crate) fn wait_as(word: &AtomicU32, seen: u32, limit: Duration, bits: NonZer
     Woken::of(futex::wait_bitset(word, Flags::empty(), seen, Some(&end), bits))
 }
 
-/// Wakes one of those up who sleep at `word`.
+/// Wakes up one of the threads that sleep at `word`.
 pub(crate) fn wake_one(word: &AtomicU32) {
-    // Fails where the memory is gone, and then nobody sleeps there.
+    // Fails where the memory is gone, and then no thread sleeps there.
     futex::wake(word, Flags::empty(), 1).ok();
 }
 
-/// Wakes all of those up who sleep at `word` as one of `bits`.
+/// Wakes up all threads that sleep at `word` as one of `bits`.
 pub(crate) fn wake_all(word: &AtomicU32, bits: NonZeroU32) {
     futex::wake_bitset(word, Flags::empty(), i32::MAX as u32, bits).ok();
 }

@@ -81,7 +81,7 @@ def connect(server: str | None = None) -> _trocar.Client:
 
 
 def status(server: str | None = None) -> dict[str, Any]:
-    """A server's clients and sessions, and how fast it runs, as ``trocar status --json`` prints it."""
+    """A server's clients and sessions, and its speed, as ``trocar status --json`` prints it."""
     return connect(server).status()
 
 
