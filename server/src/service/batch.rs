@@ -25,7 +25,7 @@ pub(crate) struct Batch {
     cost: Duration,
     /// How many the latest message stepped, reset or restored.
     rows: usize,
-    /// It stepped or reset them, and nobody has said yet what that took.
+    /// It stepped or reset them, and the time that this took was not reported yet.
     untimed: bool,
     /// What the latest step of each environment took that was timed.
     took: Vec<Duration>,

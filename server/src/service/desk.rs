@@ -73,7 +73,7 @@ pub enum Answer {
         /// How episodes shall begin.
         placement: Placement,
     },
-    /// Begin to record an environment of a session, whoever opened it.
+    /// Begin to record an environment of a session, of any client.
     Record {
         /// Which session.
         session: u64,
@@ -87,7 +87,7 @@ pub enum Answer {
         /// Which session.
         session: u64,
     },
-    /// Say who is connected.
+    /// Say which clients are connected.
     Status,
     /// Say where the live viewer is.
     Viewer,
@@ -367,8 +367,8 @@ impl Desk {
         Ok(footprint)
     }
 
-    /// Shared memory that is promised to nobody, bytes. Most of what open sessions were promised
-    /// looks free until they write to it.
+    /// Shared memory that is promised to no session, bytes. Most of what open sessions were
+    /// promised looks free until they write to it.
     fn free_memory(&self, used: Footprint) -> u64 {
         let free = Endpoint::free_memory().unwrap_or(u64::MAX);
         let written = self.endpoint.committed_memory().unwrap_or(0).min(used.shared);

@@ -41,7 +41,7 @@ impl Exporter {
             };
             let app = Router::new().route("/metrics", get(page));
             let listener = tokio::net::TcpListener::from_std(listener)?;
-            // Whoever is still connected is not waited for.
+            // Connections that are still open are not waited for.
             tokio::select! {
                 served = axum::serve(listener, app).into_future() => served,
                 _ = ended => Ok(()),

@@ -1,5 +1,5 @@
-//! Sessions as the viewer sees them. Who watches leaves a window at a session's slot; the session,
-//! which owns the environments, looks there after each message and puts into the window what is wanted.
+//! Sessions as the viewer sees them. A page leaves a window at a session's slot. The session owns the
+//! environments: it looks there after each message and puts into the window what is wanted.
 
 use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -76,7 +76,7 @@ pub(super) struct Exhibit {
 
 impl Drop for Exhibit {
     fn drop(&mut self) {
-        // In this order, so that nobody opens a window that stays open.
+        // In this order, so that no page opens a window that stays open.
         let session = self.gallery.lock().remove(&self.id);
         if let Some(session) = session {
             session.slot().close();
@@ -87,7 +87,7 @@ impl Drop for Exhibit {
 /// Where windows are left for a session.
 #[derive(Debug, Default)]
 pub(super) struct Slot {
-    /// Whether there is any. All that a session that nobody watches looks at.
+    /// Whether there is any. All that a session without windows looks at.
     watched: AtomicBool,
     taps: Mutex<Vec<Tap>>,
 }
@@ -117,7 +117,7 @@ struct Tap {
 }
 
 impl Slot {
-    /// Whether somebody watches.
+    /// Whether a page watches.
     pub(super) fn is_watched(&self) -> bool {
         self.watched.load(Ordering::Relaxed)
     }
@@ -144,7 +144,7 @@ impl Slot {
         taps.drain(..).for_each(|tap| tap.window.close());
     }
 
-    /// The windows, unless somebody is at them just now: a session does not wait for its watchers.
+    /// The windows, unless another thread has them just now: a session does not wait for its pages.
     fn taps(&self) -> Option<MutexGuard<'_, Vec<Tap>>> {
         match self.taps.try_lock() {
             Ok(taps) => Some(taps),
@@ -209,7 +209,7 @@ impl Tap {
             self.has_changed = true;
             return;
         }
-        // Before it is there: whoever takes it asks for the next one at once.
+        // Before it is there: a page that takes it asks for the next one at once.
         self.window.fulfil();
         if self.put(env) {
             self.rest(share);
@@ -348,7 +348,7 @@ mod tests {
         assert!(first.len() == 1 && !first[0].is_step);
         assert!(second.len() == 7 && second.iter().all(|mark| mark.is_step && !mark.ended));
         assert_eq!((moments[0].seed, moments[0].episode), (1, 0));
-        // A window that was closed is forgotten, and then nobody watches.
+        // A window that was closed is forgotten, and then no page watches.
         assert!(stage.slot.is_watched());
         stage.step(&[0, 1, 2]);
         assert!(!stage.slot.is_watched());

@@ -5,9 +5,9 @@
 //! | [`mod@self`] | [`serve`]: the life of a server, from its lock to its last file |
 //! | `control.rs` | the control loop: rare messages, opening and closing sessions |
 //! | `desk.rs` | what a control message means, without any transport |
-//! | `meter.rs`, `exporter.rs` | what is counted, and Prometheus, who asks for it |
+//! | `meter.rs`, `exporter.rs` | what is counted, and how Prometheus gets it |
 //! | `gallery.rs` | sessions as the viewer sees them |
-//! | `lease.rs` | who is alive: reclaims what dead clients leave |
+//! | `lease.rs` | which clients are alive: reclaims what dead clients leave |
 //! | `session.rs` | a session: answers its client's messages |
 //! | `handle.rs` | a session as others see it: the control loop, the viewer |
 //! | `batch.rs` | the environments of a session: reset, step, autoreset |
@@ -19,14 +19,14 @@
 //! | `witness.rs` | what is written down while environments step: failures, recordings |
 //! | `cpus.rs` | which processors a server uses |
 //! | `scheduler.rs` | turns: which session's environments run on which threads |
-//! | `turns.rs`, `pile.rs` | who is next; work that is cut into bites |
+//! | `turns.rs`, `pile.rs` | which session is next; work that is cut into bites |
 //! | `unfinished.rs` | removes shared memory that a process began and never finished |
 //! | `wakes.rs` | clients that got their replies, until they are woken up |
 //! | `hall.rs` | where sessions wait until their clients ring, and the threads that answer them |
 //!
 //! Every session has its own data service and environments. Whichever thread is free answers the message of the
 //! session that is next; long ones are interrupted after turns of about two milliseconds, so a slow session never
-//! holds up a fast one. Next is whoever has had the threads for the least time.
+//! holds up a fast one. Next is the session that has had the threads for the least time.
 
 mod batch;
 mod control;
@@ -226,8 +226,8 @@ pub fn serve(
         Remover::start(endpoint.clone()).map_err(|error| ServeError::Threads(error.to_string()))?;
     let node = guarded(|| membership.node()).map_err(folder)?;
     let node = Arc::new(node.map_err(internal("node"))?);
-    // A predecessor may have died while its clients live: what it left goes first. So does what
-    // nobody uses under other names: those of private servers are not used again.
+    // A predecessor may have died while its clients live: what it left goes first. So does what no
+    // process uses under other names: those of private servers are not used again.
     node.try_cleanup_dead_nodes();
     Bells::clear(&endpoint).map_err(folder)?;
     for other in Endpoint::all().map_err(folder)? {
@@ -246,8 +246,8 @@ pub fn serve(
     served
 }
 
-/// Takes the single-instance lock. Waits for a predecessor that is just ending, and for those who look
-/// whether there is a server: they share the lock for a moment.
+/// Takes the single-instance lock. Waits for a predecessor that is just ending, and for processes that
+/// look whether there is a server: they share the lock for a moment.
 fn take_lock(membership: &Membership, epoch: u64) -> io::Result<Result<ServerLock, u32>> {
     let start = Instant::now();
     loop {

@@ -16,7 +16,7 @@ use crate::env::recording::Recorder;
 /// Most recordings of failures in a folder: enough to learn from, and no disk is filled.
 const MOST_FAILURES: usize = 100;
 
-/// Most bytes that wait for whoever records.
+/// Most bytes that wait for the client that records.
 const MOST_WAITING: usize = 4 << 20;
 
 /// A recorder that asks for nothing for so long is gone.
@@ -58,7 +58,7 @@ impl Failures {
             return Ok(None);
         }
         let bytes = env.export().map_err(io::Error::other)?;
-        // Whole or not at all, whoever looks meanwhile.
+        // Whole or not at all: another process may look meanwhile.
         let partial = path.with_extension("partial");
         fs::write(&partial, bytes)?;
         fs::rename(&partial, &path)?;
@@ -69,7 +69,7 @@ impl Failures {
 /// What a recorder that attached to a session has asked for and not fetched yet.
 #[derive(Debug, Default)]
 pub(super) struct Tape {
-    /// Looked at in every step, so that the rest costs nothing while nobody records.
+    /// Looked at in every step, so that the rest costs nothing while no client records.
     running: AtomicBool,
     inner: Mutex<Option<Recording>>,
 }
@@ -81,7 +81,7 @@ struct Recording {
     waiting: VecDeque<Vec<u8>>,
     /// Bytes that wait.
     size: usize,
-    /// States that were not kept since nobody fetched the earlier ones.
+    /// States that were not kept since the client did not fetch the earlier ones.
     lost: u64,
     fetched: Instant,
 }
