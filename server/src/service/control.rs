@@ -146,14 +146,14 @@ struct Host {
     /// Sessions that were closed and are not gone yet, or not known to be.
     ending: Vec<SessionHandle>,
     opened: u64,
-    /// The live viewer, from when somebody asked for it.
+    /// The live viewer, from when a client asked for it.
     view: Option<View>,
     started: Instant,
     stop: StopSignal,
 }
 
 impl Host {
-    /// Answers every client that waits once before anybody is answered twice.
+    /// Answers every client that waits once before any client is answered twice.
     fn answer_waiting(&mut self, ports: &ControlPorts) {
         let waiting: Vec<Request> =
             std::iter::from_fn(|| ports.receive()).take(MAX_CLIENTS).collect();

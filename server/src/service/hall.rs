@@ -1,14 +1,14 @@
 //! Where sessions wait for their clients, and the threads that answer them.
 //!
 //! A session that has nothing to do is a value in its seat and has no thread. *Workers* look at the door
-//! ([`trocar_proto::door`]): who has rung gets its turn, whoever has computed least first, and is answered by
-//! whichever worker that is. So one thread answers what many clients sent, message by message, and the kernel
-//! changes threads only for the clients. There are as many workers as are in the middle of a message, waiting for
-//! their next turn, and some who look.
+//! ([`trocar_proto::door`]). A session whose client has rung gets a turn, the one that has computed least first, and
+//! any worker answers it. So one thread answers what many clients sent, message by message, and the kernel changes
+//! threads only for the clients. Some workers are in the middle of a message and wait for their next turn; besides
+//! them, some workers look.
 //!
-//! Nobody is woken up while all threads are taken: who ends a turn looks at the door. But beside long turns one
-//! worker, the *runner*, sleeps there for sessions that need little, which then go ahead (`turns.rs`). It does nothing
-//! else: who has just computed for long is given the processor late when it is woken up.
+//! No worker is woken up while all threads are taken: a worker that ends a turn looks at the door. But beside long turns
+//! one worker, the *runner*, sleeps there for sessions that need little, which then go ahead (`turns.rs`). It does nothing
+//! else: the kernel gives a thread that has just computed for long the processor late when it is woken up.
 
 use std::fmt;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
@@ -25,16 +25,18 @@ use super::turns::{Grant, Need, Turns, User, Waiter, Waiting, Who};
 pub(super) mod tests;
 mod worker;
 
-/// How long a session is not looked at that nobody rings for: it may have to end, or somebody watches it.
+/// How long a session is not looked at whose client does not ring: it may have to end, or a page watches
+/// it.
 const SLICE: Duration = Duration::from_millis(100);
 
-/// Little work that is worth waking somebody up for: what is less is done before that one is awake.
+/// Work that is worth waking another worker up for: less than that is done before the other worker
+/// is awake.
 const WORTH_HELP: Duration = Duration::from_micros(20);
 
-/// How often the door is looked at in a row: somebody may ring without end.
+/// How often the door is looked at in a row: a client may ring without end.
 const MOST_LOOKS: u32 = 8;
 
-/// Somebody whose client rings at the door.
+/// A session, or what else has a client that rings at the door.
 pub(super) trait Guest: Send {
     /// Answers one message, if there is any.
     fn attend(&mut self, turn: &mut Turn<'_>) -> Attended;
@@ -69,16 +71,16 @@ pub(super) struct Outlook {
     pub(super) cost: Duration,
 }
 
-/// The seats, and the threads for those who have them.
+/// The seats, and the threads for the guests that have them.
 pub(super) struct Hall {
     pub(super) pool: rayon::ThreadPool,
     pub(super) door: Door,
     state: Mutex<State>,
     /// Time for which threads were taken, all together, ns.
     pub(super) busy: AtomicU64,
-    /// Somebody who looks at the door, awake, has to look at the queue, too.
+    /// A worker that looks at the door, awake, has to look at the queue, too.
     beckons: AtomicBool,
-    /// Every thread is taken, so nobody looks awake.
+    /// Every thread is taken, so no worker looks awake.
     taken: AtomicBool,
 }
 
@@ -87,13 +89,13 @@ pub(super) struct Hall {
 pub(super) struct State {
     pub(super) turns: Turns,
     places: Vec<Place>,
-    /// Workers who look at the door awake.
+    /// Workers that look at the door awake.
     polling: usize,
-    /// Workers who sleep there, of each kind of [`Listener`].
+    /// Workers that sleep there, of each kind of [`Listener`].
     asleep: [Asleep; 2],
     /// There is one that attends to nothing but what is small.
     runner: bool,
-    /// It looks after a while, whoever rings.
+    /// It looks after a while, whether a client rings or not.
     patient: bool,
     /// A worker looks after [`SLICE`].
     timed: bool,
@@ -102,10 +104,10 @@ pub(super) struct State {
     closed: bool,
 }
 
-/// Workers of a kind who sleep at the door.
+/// Workers of a kind that sleep at the door.
 #[derive(Default)]
 struct Asleep {
-    /// How many, with those who were woken up and have not looked yet.
+    /// How many, with workers that were woken up and have not looked yet.
     count: usize,
     /// The server has woken one of them up, or started one.
     summoned: bool,
@@ -116,7 +118,7 @@ struct Asleep {
 impl Asleep {
     /// Says at the door whether one wants to be woken up.
     fn post(&mut self, door: &Door, listener: Listener, wanted: bool) {
-        // Who was woken up and has not looked yet will say.
+        // A worker that was woken up and has not looked yet will say.
         let underway = self.posted && !door.is_alert(listener);
         if wanted != self.posted && !underway {
             door.set_alert(listener, wanted);
@@ -128,7 +130,7 @@ impl Asleep {
 /// What is at a seat.
 enum Place {
     Free,
-    /// Somebody is about to sit down, or leaves.
+    /// A guest is about to take it, or leaves it.
     Kept,
     Taken(Taken),
 }
@@ -220,7 +222,7 @@ impl Hall {
         Some(Seat { hall: Arc::clone(self), number: number as u32 })
     }
 
-    /// From now on `guest` sits there. It is looked at once, whether anybody has rung or not.
+    /// From now on `guest` sits there. It is looked at once, whether its client has rung or not.
     pub(super) fn admit(
         self: &Arc<Self>,
         seat: u32,
@@ -236,7 +238,7 @@ impl Hall {
         self.call(seat);
     }
 
-    /// Has the guest at `seat` attended to, whether anybody has rung or not.
+    /// Has the guest at `seat` attended to, whether its client has rung or not.
     pub(super) fn call(self: &Arc<Self>, seat: u32) {
         let mut state = self.lock();
         state.call(seat);
@@ -267,7 +269,7 @@ impl Hall {
         state.turns.renew(user, grant)
     }
 
-    /// Hands threads out to those who are next, after `change`.
+    /// Hands threads out to the entries of the queue that are next, after `change`.
     pub(super) fn free(self: &Arc<Self>, change: impl FnOnce(&mut Turns)) {
         let mut state = self.lock();
         change(&mut state.turns);
@@ -276,9 +278,9 @@ impl Hall {
         self.fetch_help(state, help);
     }
 
-    /// Hands threads out to those who are next; the first guest is for the caller, if it looks for one and that is
-    /// one of those that it `attends` to. Workers are woken up with the lock released: on the same processor they may
-    /// run at once.
+    /// Hands threads out to the entries of the queue that are next. The first guest is for the caller, if the caller
+    /// looks for one and `attends` to its kind. Workers are woken up with the lock released: on the same processor
+    /// they may run at once.
     fn hand_out<'a>(
         &'a self,
         mut state: MutexGuard<'a, State>,
@@ -309,7 +311,7 @@ impl Hall {
                 _ => {
                     state.post(self);
                     looks += 1;
-                    // It may have been rung before who rings could know that.
+                    // A client may have rung before it could know that a worker listens.
                     let listens = state.asleep.iter().any(|asleep| asleep.posted);
                     if !listens || !self.door.is_rung() || looks == MOST_LOOKS {
                         return (state, visit);
@@ -416,7 +418,7 @@ impl State {
         }
     }
 
-    /// Says at the door whether rings have to wake somebody up.
+    /// Says at the door whether rings have to wake a worker up.
     fn post(&mut self, hall: &Hall) {
         let busy = self.turns.is_busy();
         hall.taken.store(busy, Ordering::Relaxed);
@@ -427,9 +429,10 @@ impl State {
         small.post(&hall.door, Listener::Small, small.count > 0 && runs);
     }
 
-    /// Who has to look at the queue, or listen, while the caller attends to a guest of this `outlook`, or to none.
+    /// The kind of worker that has to look at the queue, or listen, while the caller attends to a guest of this
+    /// `outlook`, or to none.
     fn needs_help(&self, outlook: Option<Outlook>) -> Option<Listener> {
-        // Who needs little looks again soon.
+        // A worker whose guest needs little looks again soon.
         let soon = outlook.is_some_and(|outlook| outlook.need == Need::Little);
         let busy = self.turns.is_busy();
         let unheard = outlook.is_some()
@@ -446,7 +449,7 @@ impl State {
         (unheard && !busy).then_some(Listener::Any)
     }
 
-    /// Whether those who wait at their seats are attended to before somebody else is awake.
+    /// Whether the guests that wait are attended to before another worker is awake.
     fn is_brief(&self) -> bool {
         let mut left = WORTH_HELP;
         self.turns.waiting.iter().all(|waiting| {

@@ -26,7 +26,7 @@ pub(super) struct SessionHandle {
     pub(super) footprint: Footprint,
 }
 
-/// What a session has together with whoever asks about it.
+/// What a session shares with the threads that ask about it.
 pub(super) struct Shared {
     pub(super) id: u64,
     /// Where it is called.
@@ -109,7 +109,7 @@ pub(super) struct Pace {
     window_start: Instant,
     window_steps: u64,
     steps_per_second: f64,
-    /// How episodes ended, where anybody may look.
+    /// How episodes ended, where any thread may look.
     pub(super) tally: Tally,
 }
 

@@ -1,6 +1,6 @@
-//! Who is alive. Nobody is told of a death, so the server looks: once to four times a second it lists
-//! the participants of the transport, closes the sessions of those that are gone, and only then
-//! removes what they left.
+//! Which clients are alive. No message tells of a death, so the server looks: once to four times a
+//! second it lists the participants of the transport, closes the sessions of those that are gone,
+//! and only then removes what they left.
 
 use std::time::{Duration, Instant};
 
@@ -24,16 +24,17 @@ pub(super) fn pause(computed: Duration) -> Duration {
     (computed * 100).clamp(INTERVAL, LONGEST)
 }
 
-/// Who was alive at the last look.
+/// The clients that were alive at the last look.
 #[derive(Debug, Default)]
 pub(super) struct Census {
     alive: Vec<u128>,
-    /// Whether somebody died and left something.
+    /// Whether a client died and left something.
     pub(super) deaths: bool,
 }
 
 impl Census {
-    /// Looks who is alive. `None` where the list could not be read; the next look may do.
+    /// Looks which clients are alive. `None` where the list could not be read; the next look may
+    /// do.
     pub(super) fn take(node: &Node) -> Option<Self> {
         let mut census = Self::default();
         let listed = Node::list(node.config(), |state| {

@@ -19,9 +19,9 @@ pub(crate) trait Divisible: Send + Sized {
     fn run(self);
 }
 
-/// Work from which threads take bite by bite. What a piece takes varies a lot, so only the clock tells
-/// when a turn is over: the work stays here until somebody takes it. Of its long pieces, the first `LONG` are
-/// laid aside to be taken first; room for none is worth having where there are none, since work is large.
+/// Work from which threads take bite by bite. What a piece takes varies a lot, so only the clock tells when a
+/// turn is over: the work stays here until a thread takes it. Of its long pieces, the first `LONG` are laid
+/// aside to be taken first; room for none is worth having where there are none, since work is large.
 pub(super) struct Pile<W, const LONG: usize> {
     rest: Mutex<Rest<W, LONG>>,
     /// How many pieces are taken at once, at most.
@@ -34,7 +34,7 @@ impl<W: Divisible, const LONG: usize> Pile<W, LONG> {
         Self { rest: Mutex::new(Rest::new(work)), bite }
     }
 
-    /// How many pieces nobody has taken yet.
+    /// How many pieces no thread has taken yet.
     pub(super) fn len(&self) -> usize {
         self.lock().len
     }
@@ -55,9 +55,9 @@ impl<W: Divisible, const LONG: usize> Pile<W, LONG> {
     }
 }
 
-/// What nobody has taken yet.
+/// What no thread has taken yet.
 struct Rest<W, const LONG: usize> {
-    /// Pieces that may take long: whoever began one last would let all others wait.
+    /// Pieces that may take long: a thread that began one last would let all others wait.
     long: [Option<W>; LONG],
     /// What lies before and between them.
     short: [Option<W>; LONG],

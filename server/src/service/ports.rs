@@ -58,8 +58,8 @@ pub(super) type Response = ResponseMut<Transport, [u8], Header>;
 #[allow(unsafe_code)]
 pub(super) fn loan(request: &Request, bytes: usize) -> Result<Response, LoanError> {
     let room = request.loan_slice_uninit(bytes)?;
-    // SAFETY: the room lies in a mapping of shared memory, whose bytes are zero until somebody has
-    // written them; and every byte is a valid u8.
+    // SAFETY: the room lies in a mapping of shared memory, whose bytes are zero until they are
+    // first written; and every byte is a valid u8.
     Ok(unsafe { room.assume_init() })
 }
 
@@ -135,7 +135,7 @@ impl ControlPorts {
             .max_nodes(clients + 1)
             .create()
             .map_err(internal("control bell"))?;
-        // The listener first: whoever can open the control service can ring.
+        // The listener first: a client that can open the control service can ring.
         let bell = event.listener_builder().create().map_err(internal("control bell port"))?;
         let missed = Missed::default();
         let port = service

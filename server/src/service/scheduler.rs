@@ -1,13 +1,13 @@
 //! Turns: which session's environments run on which threads.
 //!
-//! Who has a turn runs its environments bite by bite for about two milliseconds, and queues again if somebody
-//! else waits. The next turn is for whoever has had the threads for the least time, and idle time saves nothing up
-//! (start-time fair queueing, Goyal et al. 1996). So sessions share the threads evenly whatever their size, and one
-//! that needs less than its share hardly waits. A session that finds idle threads uses them too.
+//! A session that has a turn runs its environments bite by bite for about two milliseconds, and queues again if another
+//! session waits. The next turn is for the session that has had the threads for the least time, and idle time saves
+//! nothing up (start-time fair queueing, Goyal et al. 1996). So sessions share the threads evenly whatever their size.
+//! A session that needs less than its share hardly waits, and one that finds idle threads uses them too.
 //!
 //! A turn can last much longer: one environment's step may take milliseconds, and the kernel may give
-//! the processor to others meanwhile. Whoever is next and needs little does not wait for its end but
-//! goes ahead, on one thread more, one at a time: at once where every thread has somebody who needs more,
+//! the processor to others meanwhile. A session that is next and needs little does not wait for its end but
+//! goes ahead, on one thread more, one at a time. It does so at once where every thread has a session that needs more,
 //! else when no turn has begun for a millisecond. None of this changes any result.
 
 use std::sync::Arc;
@@ -34,7 +34,7 @@ const BITE: Duration = Duration::from_micros(200);
 /// Work that is worth another thread: waking one up costs about half of it.
 pub(super) const WORTH: Duration = Duration::from_micros(50);
 
-/// The threads that step environments, and how many of them those may have at a time who are users of this.
+/// The threads that step environments, and how many of them users of this may have at a time.
 #[derive(Debug, Clone)]
 pub(super) struct Scheduler {
     hall: Arc<Hall>,
@@ -52,7 +52,7 @@ impl Scheduler {
         Self { hall: Arc::clone(&self.hall), share: Share::new(limit) }
     }
 
-    /// Somebody whose time counts separately.
+    /// A user whose time counts separately.
     pub(super) fn user(&self) -> Arc<User> {
         User::new(Arc::clone(&self.share))
     }
@@ -281,8 +281,8 @@ impl Watch {
         Self { start: Instant::now(), computed: thread_time() }
     }
 
-    /// Charges `user` with what this thread has computed since then, gives that, and begins anew. Nobody is charged
-    /// for time in which the kernel lets others have the processor.
+    /// Charges `user` with what this thread has computed since then, gives that, and begins anew. No user is
+    /// charged for time in which the kernel lets others have the processor.
     fn charge(&mut self, hall: &Hall, user: &User) -> Duration {
         let Self { start, computed } = std::mem::replace(self, Self::start());
         let taken = self.start.duration_since(start).as_nanos() as u64;

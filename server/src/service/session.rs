@@ -47,7 +47,7 @@ pub(super) struct Ground {
     pub(super) idle_limit: Duration,
     /// Where failures are recorded, if they are.
     pub(super) failures: Option<Failures>,
-    /// Where sessions show themselves, if anybody may look.
+    /// Where sessions show themselves, if they may be watched.
     pub(super) gallery: Arc<Gallery>,
 }
 
@@ -164,8 +164,8 @@ struct Course {
     peak: Duration,
 }
 
-/// A request's arrays, copied out of shared memory before anything looks at them, since whoever
-/// wrote them could still change them.
+/// A request's arrays, copied out of shared memory before anything looks at them, since their
+/// client could still change them.
 #[derive(Debug, Default)]
 struct Inbox {
     env_ids: Vec<u32>,

@@ -1,31 +1,31 @@
-//! Who is next: the queue for the threads that step environments.
+//! Which session is next: the queue for the threads that step environments.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering};
 use std::thread::Thread;
 
-/// How many threads there are, who has them and who wants one.
+/// How many threads there are, which users have them and which wait for one.
 #[derive(Debug)]
 pub(super) struct Turns {
     count: usize,
     pub(super) free: usize,
-    /// Threads that those have who need so much.
+    /// Threads of users that need so much.
     pub(super) little: usize,
     varied: usize,
     much: usize,
-    /// Somebody has gone ahead.
+    /// A user has gone ahead.
     pub(super) ahead: bool,
-    /// Who is next comes last.
+    /// The next one comes last.
     pub(super) waiting: Vec<Waiting>,
     /// How many have ever waited.
     arrivals: u64,
-    /// What the one who had the latest turn had spent before it, ns.
+    /// What the user of the latest turn had spent before it, ns.
     clock: u64,
     /// How many turns have begun.
     pub(super) begun: u64,
 }
 
-/// What somebody is expected to need a thread for.
+/// What a user is expected to need a thread for.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) enum Need {
     /// Little work, always.
@@ -36,7 +36,7 @@ pub(super) enum Need {
     Much,
 }
 
-/// A thread that somebody has.
+/// A thread that a user has.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct Grant {
     pub(super) need: Need,
@@ -44,7 +44,7 @@ pub(super) struct Grant {
     pub(super) ahead: bool,
 }
 
-/// Somebody who takes turns.
+/// A session, or what else takes turns.
 #[derive(Debug)]
 pub(super) struct User {
     share: Arc<Share>,
@@ -52,17 +52,19 @@ pub(super) struct User {
     pub(super) spent: AtomicU64,
 }
 
-/// How many threads somebody may have, and has. Read and written under the lock of [`Turns`].
+/// How many threads users may have together, and have. Read and written under the lock of
+/// [`Turns`].
 #[derive(Debug)]
 pub(super) struct Share {
     limit: usize,
     taken: AtomicUsize,
 }
 
-/// Somebody who waits for a turn.
+/// An entry of the queue: a user that waits for a turn.
 #[derive(Debug)]
 pub(super) struct Waiting {
-    /// What it has spent, and how many have ever waited before it: who has less of both is next.
+    /// What the user has spent, and how many have ever waited before it: the entry with less of
+    /// both is next.
     rank: (u64, u64),
     user: Arc<User>,
     pub(super) who: Who,
@@ -87,14 +89,14 @@ pub(super) struct Waiter {
 }
 
 impl Need {
-    /// Whether it may go ahead of those who need more.
+    /// Whether it may go ahead of users that need more.
     pub(super) fn is_small(self) -> bool {
         self < Self::Much
     }
 }
 
 impl User {
-    /// Somebody who has had no turn yet.
+    /// A user that has had no turn yet.
     pub(super) fn new(share: Arc<Share>) -> Arc<Self> {
         Arc::new(Self { share, spent: AtomicU64::new(0) })
     }
@@ -147,7 +149,7 @@ impl Turns {
         self.free == 0
     }
 
-    /// Puts somebody into the queue. Who arrives now has saved nothing up.
+    /// Puts a user into the queue. One that arrives now has saved nothing up.
     pub(super) fn queue(&mut self, user: &Arc<User>, who: Who, need: Need) {
         let spent = user.spent.fetch_max(self.clock, Ordering::Relaxed).max(self.clock);
         let rank = (spent, self.arrivals);
@@ -156,16 +158,16 @@ impl Turns {
         self.waiting.insert(place, Waiting { rank, user: Arc::clone(user), who, need });
     }
 
-    /// Whose turn begins now, if anybody's does: the next one's, where there is a thread, or where it needs little
-    /// and all threads have somebody who needs more. `overdue` says that no turn has begun for so long that this is
-    /// no reason to wait any more.
+    /// The entry whose turn begins now, if any: the next one, where there is a thread, or where it needs little and
+    /// all threads have users that need more. `overdue` says that no turn has begun for so long that this is no
+    /// reason to wait any more.
     pub(super) fn due(&self, overdue: bool) -> Option<&Waiting> {
         let next = &self.waiting[self.next()?];
         let goes_ahead = || !self.ahead && next.need.is_small() && (self.is_much() || overdue);
         (!self.is_busy() || goes_ahead()).then_some(next)
     }
 
-    /// Begins the turn of who is next. Only where it is due.
+    /// Begins the turn of the next one. Only where it is due.
     pub(super) fn begin(&mut self) -> Option<(Waiting, Grant)> {
         let waiting = self.next().map(|next| self.waiting.remove(next))?;
         let ahead = self.is_busy();
@@ -179,7 +181,7 @@ impl Turns {
         Some((waiting, grant))
     }
 
-    /// Up to `most` threads more for `user`, of those that nobody waits for.
+    /// Up to `most` threads more for `user`, of those that no other user waits for.
     pub(super) fn take_more(&mut self, user: &User, most: usize, need: Need) -> usize {
         let unclaimed =
             self.free.saturating_sub(self.waiting.iter().filter(|each| each.may_run()).count());
@@ -200,8 +202,8 @@ impl Turns {
         }
     }
 
-    /// Whether `user`, whose turn is over, may keep its thread: nobody waits who could have it, and none
-    /// are free that could help.
+    /// Whether `user`, whose turn is over, may keep its thread: no user waits that could have it, and
+    /// none are free that could help.
     pub(super) fn renew(&mut self, user: &User, grant: Grant) -> bool {
         let all_in_use = self.free.min(user.share.left()) == 0;
         let goes_on = !grant.ahead && all_in_use && self.next().is_none();
@@ -211,22 +213,23 @@ impl Turns {
         goes_on
     }
 
-    /// Whether a message that asks for little is worth waking somebody up for, although all threads are taken.
+    /// Whether a message that asks for little is worth waking a worker up for, although all threads are taken.
     pub(super) fn may_go_ahead(&self) -> bool {
         self.is_busy() && !self.ahead && self.varied + self.much > 0
     }
 
-    /// Whether somebody who needs little is next, and may go ahead if this lasts.
+    /// Whether a user that needs little is next, and may go ahead if this lasts.
     pub(super) fn is_tried(&self) -> bool {
         self.may_go_ahead() && self.next().is_some_and(|next| self.waiting[next].need.is_small())
     }
 
-    /// Whether every thread has somebody who needs more than little.
+    /// Whether every thread has a user that needs more than little.
     fn is_much(&self) -> bool {
         self.much >= self.count
     }
 
-    /// Whose turn is next: who had the threads for the least time, of those who may have one more.
+    /// The next entry: of users that may have one more thread, the one that had the threads for the
+    /// least time.
     fn next(&self) -> Option<usize> {
         self.waiting.iter().rposition(Waiting::may_run)
     }

@@ -1,6 +1,6 @@
 //! Clients that got their replies and sleep: they are woken up several at a time.
 //!
-//! Whoever is woken up on the processor of the one who wakes it runs at once. One by one, 64 clients on one core cost two
+//! A client that is woken up on its worker's processor runs at once. One by one, 64 clients on one core cost two
 //! changes of threads for each message, and each time other things are in the caches. So small messages that wait are
 //! answered first, for a while, and then all of these clients go on.
 
@@ -11,7 +11,7 @@ use trocar_proto::door::{Door, Sleepers};
 /// How long a client may have its reply and not know it, because others get theirs.
 const LONGEST: Duration = Duration::from_micros(200);
 
-/// Those who are to be woken up.
+/// The clients that are to be woken up.
 #[derive(Debug, Default)]
 pub(super) struct Wakes {
     sleepers: Sleepers,

@@ -43,7 +43,8 @@ impl House {
         Door::open(self.membership.endpoint(), 7).unwrap()
     }
 
-    /// Lets somebody sit down whose messages take three pieces of `work`, which should take `cost` each.
+    /// Takes a seat for a guest whose messages take three pieces of `work`, which should take `cost`
+    /// each.
     fn admit(&self, cost: Duration, work: impl Fn() + Send + Sync + 'static) -> Client {
         let seat = self.hall().keep_seat().unwrap();
         let number = seat.number;
@@ -56,13 +57,13 @@ impl House {
         Client { hall: Arc::clone(self.hall()), door: self.door(), seat: number, size, mail, user }
     }
 
-    /// Whether all of its threads are free and nobody waits.
+    /// Whether all of its threads are free and nothing waits.
     fn is_idle(&self, threads: usize) -> bool {
         let Turns { free, little, ahead, waiting, .. } = &self.hall().lock().turns;
         (*free, *little, *ahead, waiting.is_empty()) == (threads, 0, false, true)
     }
 
-    /// Waits until nobody is awake.
+    /// Waits until no worker is awake.
     fn await_sleep(&self) {
         eventually(|| {
             let state = self.hall().lock();
@@ -103,7 +104,7 @@ struct Client {
 }
 
 impl Client {
-    /// Sends a message; whether somebody had to be woken up.
+    /// Sends a message; whether a worker had to be woken up.
     fn send(&self) -> bool {
         self.mail.sent.fetch_add(1, Ordering::SeqCst);
         self.door.ring(self.seat, self.size)

@@ -13,10 +13,10 @@ use crate::service::scheduler::{Turn, Watch};
 use crate::service::turns::{Need, Waiter};
 use crate::service::wakes::Wakes;
 
-/// How long those sleep whom nobody needs to look for what happens without a ring.
+/// How long a worker sleeps that does not have to look for requests without a ring.
 const LONG: Duration = Duration::from_secs(1);
 
-/// For how long no turn must have begun until a session that needs little goes ahead of such as may do so, too.
+/// A session that needs little goes ahead of others that need little once no turn has begun for so long.
 const PATIENCE: Duration = Duration::from_millis(1);
 
 /// A thread, and what it has to attend to guests with.
@@ -95,7 +95,7 @@ impl Worker {
         if let Some(done) = done {
             state.settle(done);
         }
-        // Since when no turn may have begun, for somebody to go ahead.
+        // The count of turns begun, which must not have changed for a small session to go ahead.
         let mut patience = None;
         let mut awake = true;
         loop {
@@ -161,8 +161,8 @@ impl Worker {
         state
     }
 
-    /// Sleeps until somebody needs it, or it is to look after a while: in `patience`, where no more turns have begun
-    /// than it then says.
+    /// Sleeps until it is needed, or is to look after a while. Sets `patience` to the count of turns begun where a small
+    /// session may go ahead if that count is the same afterwards.
     fn sleep<'a>(
         hall: &'a Hall,
         kind: Listener,
@@ -185,7 +185,7 @@ impl Worker {
         state.post(hall);
         let listens = state.asleep(kind).posted;
         drop(state);
-        // It may have been rung before who rings could know that somebody sleeps.
+        // A client may have rung before it could know that a worker sleeps.
         if !(listens && hall.door.is_rung()) {
             hall.door.sleep(kind, seen, limit);
         }
@@ -195,7 +195,7 @@ impl Worker {
         let asleep = state.asleep(kind);
         asleep.count -= 1;
         asleep.summoned = false;
-        // Whoever was woken up has taken the alert away.
+        // The client that woke a worker up has taken the alert away.
         asleep.posted = hall.door.is_alert(kind);
         state
     }

@@ -8,7 +8,7 @@ use super::*;
 use crate::service::hall::tests::{Calls, House};
 
 impl Scheduler {
-    /// Somebody who is no session takes turns on this thread.
+    /// A user that is no session takes turns on this thread.
     pub(in crate::service) fn alone<R>(
         &self,
         user: &Arc<User>,
@@ -97,7 +97,7 @@ fn beside(scheduler: &Scheduler, user: &Arc<User>, cost: Duration, meanwhile: im
     });
 }
 
-/// Threads that are free, that are one more than there are, and who waits for one.
+/// Threads that are free, a thread that is one more than there are, and the users that wait.
 fn state(scheduler: &Scheduler) -> (usize, bool, usize) {
     let state = scheduler.hall.lock();
     (state.turns.free, state.turns.ahead, state.turns.waiting.len())
