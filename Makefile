@@ -27,7 +27,7 @@ PLOT_VENV := .venv-plot
 # With the wheels, tasks that grasp are left out: what they add takes long and is not Gymnasium's.
 WHEEL_TESTS := "not stubs and not Pick and not Peg and not Regrasp and not Gauze"
 # Python files under ruff, as seen from client-py/, whose pyproject.toml has the rules.
-PYTHON_CODE := . ../server/cli/src/demo ../server/cli/src/bench ../server/cli/src/load ../server/view/tests
+PYTHON_CODE := . ../tests/prose.py ../server/cli/src/demo ../server/cli/src/bench ../server/cli/src/load ../server/view/tests
 # What people train with, each with the Gymnasium that it needs.
 RL_BIN := $(abspath .venv-rl/bin)
 RLLIB_BIN := $(abspath .venv-rllib/bin)
@@ -70,7 +70,7 @@ picture-viewer: $(VENV)/ready ## * assets/pictures/viewer.png: the live viewer, 
 	$(CARGO) build --release --locked -p trocar
 	TROCAR_BINARY=$(TARGET)/release/trocar $(BIN)/python server/view/tests/test_viewer.py assets/pictures/viewer.png
 
-# What it is built from has its hash in page.sha256, so that nobody needs Node to see whether it is stale.
+# What it is built from has its hash in page.sha256, so that a build sees without Node whether it is stale.
 .PHONY: viewer
 viewer: ## server/view/page.html: builds the page of the live viewer anew; needs Node >= 20 with npm
 	cd server/view && npm ci --ignore-scripts --no-audit --no-fund && node build.mjs
@@ -99,7 +99,7 @@ test: lint test-rust test-python test-wheels ## * all that CI runs: lints, Rust,
 	@if command -v strace > /dev/null; then $(MAKE) test-faults; else echo 'left out: test-faults needs strace (apt install strace)'; fi
 
 .PHONY: lint
-lint: lint-rust lint-python lint-viewer ## * formatting, clippy, ruff, generated assets
+lint: lint-rust lint-python lint-viewer lint-prose ## * formatting, clippy, ruff, generated assets, prose
 
 .PHONY: lint-rust
 lint-rust:
@@ -115,6 +115,10 @@ lint-python: $(VENV)/ready
 lint-viewer:
 	cd server/view && sha256sum --check --quiet page.sha256 || { echo 'page.html is stale: run `make viewer`'; exit 1; }
 
+.PHONY: lint-prose
+lint-prose:
+	$(PYTHON) tests/prose.py
+
 .PHONY: test-rust
 test-rust: ## Rust: unit, task suite, command, multi-process (reduced counts)
 	TROCAR_BINARY=$(TARGET)/debug/trocar $(CARGO) test $(RUST)
@@ -127,7 +131,7 @@ test-faults: ## calls of the kernel fail, one after the other, by strace, which 
 
 .PHONY: test-python
 test-python: develop ## * Python with the newest Gymnasium: types, stubs, tests
-	cd client-py && $(BIN)/mypy && for worker in demo bench load; do $(BIN)/mypy ../server/cli/src/$$worker/worker.py; done
+	cd client-py && $(BIN)/mypy && $(BIN)/mypy ../tests/prose.py && for worker in demo bench load; do $(BIN)/mypy ../server/cli/src/$$worker/worker.py; done
 	cd client-py && TROCAR_BINARY=$(TARGET)/debug/trocar $(BIN)/python -m pytest
 	TROCAR_PYTHON=$(BIN)/python $(CARGO) test $(RUST) --test load python_clients
 

@@ -18,7 +18,7 @@ ROWS = 65_536
 
 
 def labelled(episodes: Episodes, features: BatchInputs) -> tuple[torch.Tensor, torch.Tensor]:
-    """Features of every state in which somebody acted, and what the expert would have done."""
+    """Features of every state in which a policy acted, and what the expert would have done."""
     episode, time = episodes.every_step()
     parts = [
         features(

@@ -165,7 +165,7 @@ def _note(run: Run, rows: list[Row], writer: SummaryWriter) -> None:
 
 
 class _Live:
-    """A line on the terminal that says how far an epoch is, if anybody sees it."""
+    """A line on the terminal that says how far an epoch is, where a user sees it."""
 
     def __init__(self, config: Config, epoch: int, clock: _Clock) -> None:
         self.where = f"{config.task} {config.algo}  epoch {epoch:3} of {config.epochs}"
