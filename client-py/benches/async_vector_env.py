@@ -9,8 +9,8 @@
 
 Both use all cores, random actions from one pool, next-step autoreset and the same task options.
 They are measured in turns; ratios are medians over the pairs. Beside the wall clock stands the CPU
-time of all processes that take part: on a machine with other work, 64 workers get a larger share
-of the cores than one server does, and only steps per CPU second can be compared.
+time of all processes that take part. On a machine with other work, 64 workers get a larger share
+of the cores than one server does. Then only steps per CPU second can be compared.
 """
 
 from __future__ import annotations

@@ -2,9 +2,11 @@
 //!
 //! A state has positions and Euler angles in one frame. What decides what to do is mostly how far one thing is from
 //! another, to a millimetre nearby and roughly far away, and how it is turned. [`Relative`] says for one task which of
-//! these are computed, as a list of few kinds, so that anything can compute the same: the server for the word
-//! `relative` of the option `observation`, clients for batches whose goals are replaced afterwards (hindsight experience
-//! replay), and exported policies as a graph.
+//! these are computed, as a list of few kinds. So three programs compute the same:
+//!
+//! - the server, for the word `relative` of the option `observation`;
+//! - clients, for batches whose goals are replaced afterwards (hindsight experience replay);
+//! - exported policies, as a graph.
 //!
 //! Features are pure functions of the state, the achieved and the desired goal. They are computed in f64 and rounded to
 //! f32, with elementary functions that are the same everywhere: server and clients get the same bits.

@@ -1,8 +1,8 @@
 //! A snapshot as bytes: what led to the state of an environment, from which it is rebuilt.
 //!
-//! The same seed and actions give the same bits, so the seed of an episode, its number, the placement with
-//! which it began and the actions since *are* the state, in a few hundred bytes and without a word about how
-//! it is laid out in memory. Bytes from anywhere can then do no more harm than actions can. The process that
+//! The same seed and actions give the same bits. So the seed of an episode, its number, the placement with
+//! which it began and the actions since *are* the state. They take a few hundred bytes, and do not say how the
+//! state is laid out in memory. Bytes from anywhere can then do no more harm than actions can. The process that
 //! rebuilds a state compares its fingerprint with the one that was written down.
 //!
 //! One environment's part is: magic (8 bytes), protocol version, length of the body (u32 each),

@@ -1,8 +1,8 @@
 //! The bits stay: episodes that were recorded once come again bit by bit, their pictures too.
 //!
 //! `fixtures/bits.bin` has episodes of every task under every option that changes what it does, in a
-//! format of its own (`bits/format.rs`): the options that were given, the actions, and at every tenth step hashes
-//! of the world, the observation, goals, rewards and flags, and pictures. Actions are stored and not asked of
+//! format of its own (`bits/format.rs`). An episode has the options that were given and the actions. At every tenth
+//! step it has hashes of the world, the observation, goals, rewards and flags, and pictures. Actions are stored and not asked of
 //! the expert, so an expert may change; states in which episodes start with a part of the work done
 //! are the expert's.
 //!

@@ -4,9 +4,9 @@ use std::os::fd::RawFd;
 
 use rustix::fd::{FromRawFd, OwnedFd};
 
-/// Closes files in shared memory that this process has inherited: the transport does not mark its
-/// own to be closed, so a client that starts a server leaves it those of all its sessions, and the
-/// memory behind them would be kept as long as the server runs. To be called before anything else.
+/// Closes files in shared memory that this process has inherited. The transport does not mark its
+/// files to be closed, so a client that starts a server leaves it the files of all its sessions. Their
+/// memory would be kept as long as the server runs. To be called before anything else.
 pub(crate) fn close_shared_memory() {
     let Ok(entries) = std::fs::read_dir("/proc/self/fd") else { return };
     let inherited: Vec<RawFd> = entries

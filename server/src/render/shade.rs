@@ -1,9 +1,9 @@
 //! What colour eight pixels have: a lamp with its shadow, light from all around, and what shines back of
 //! both.
 //!
-//! The surface is the usual mixture of a matt one and one of tiny mirrors (Walter et al., *Microfacet models
-//! for refraction through rough surfaces*, 2007, with the distribution GGX; Schlick's Fresnel term; Karis'
-//! approximation of what a uniform sky sends back, *Physically based shading on mobile*, 2014). What mirrors
+//! The surface is the usual mixture of a matt one and one of tiny mirrors: Walter et al., *Microfacet models
+//! for refraction through rough surfaces*, 2007, with the distribution GGX. The Fresnel term is Schlick's. What
+//! a uniform sky sends back is Karis' approximation, *Physically based shading on mobile*, 2014. What mirrors
 //! show of the theatre is a sky that brightens about the lamp, above a darker floor.
 
 use std::sync::LazyLock;

@@ -146,10 +146,12 @@ impl Psm {
     /// limit, the result is a whole turn away from the seed: callers that move in small steps
     /// compare.
     ///
-    /// Two poses leave a joint open, both with the wrist inside the cannula; there the seed
-    /// decides: the wrist-pitch axis at the remote centre, where the shaft's direction is open, and
-    /// the remote centre on the wrist-yaw axis, where the direction from one wrist axis to the
-    /// other is. The roll and wrist-yaw axes align at 90° of wrist pitch, outside the limits.
+    /// Two poses leave a joint open, both with the wrist inside the cannula; there the seed decides:
+    /// - where the wrist-pitch axis is at the remote centre, the shaft's direction is open;
+    /// - where the remote centre is on the wrist-yaw axis, the direction from one wrist axis to the
+    ///   other is open.
+    ///
+    /// The roll and wrist-yaw axes align at 90° of wrist pitch, outside the limits.
     ///
     /// `seed`: joint values, rad; index 2 in m; it need not be within the limits.
     pub fn inverse(
@@ -172,9 +174,9 @@ impl Psm {
         let yaw_axis: Vector3<f64> = -axes.column(0);
 
         // The wrist-pitch axis, both wrist axes' common perpendicular and the remote centre lie in
-        // the plane across the wrist-pitch axis, which holds the wrist-yaw axis: so the
-        // perpendicular points along what is left of the wrist point across the wrist-yaw axis,
-        // and to the side on which the jaws are (|wrist yaw| < 90°).
+        // the plane across the wrist-pitch axis, which holds the wrist-yaw axis. So the
+        // perpendicular points along what is left of the wrist point across the wrist-yaw axis. It
+        // points to the side on which the jaws are (|wrist yaw| < 90°).
         let forward = direction_across(&wrist, &yaw_axis)
             .or_else(|| direction_across(&seed_forward(seed), &yaw_axis))
             .unwrap_or(jaws);

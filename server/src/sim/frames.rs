@@ -15,9 +15,9 @@ use rapier3d::parry::shape::Segment;
 pub type Pose = Isometry3<f64>;
 
 /// Engine lengths per metre. The engine's search for the nearest points of two parts stops where
-/// twice the area of a triangle between their features is below 1.1e-3 (parry, `gjk::eps_tol`): in
-/// centimetres that is 0.1 mm × 1.1 mm, in metres 30 mm × 37 mm, and the edges of jaws would pass
-/// through wires. 30 to 1000 behave alike.
+/// twice the area of a triangle between their features is below 1.1e-3 (parry, `gjk::eps_tol`). In
+/// centimetres that is 0.1 mm × 1.1 mm. In metres it is 30 mm × 37 mm, and the edges of jaws would
+/// pass through wires. 30 to 1000 behave alike.
 pub(super) const SCALE: f64 = 100.0;
 
 /// A pose in a body that is `size` times as large.

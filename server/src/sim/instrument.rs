@@ -6,9 +6,9 @@
 //! that are locked are driven like the wrist, and nothing moves them. How instruments move is in
 //! [`motion`](super::motion).
 //!
-//! What the grip is like is measured in `server/tests/mechanics.rs` and `server/tests/grasp.rs`: a finger
-//! presses with the squeeze that is asked for where that is defined, 1 mm from the tip (with 0.95 of it
-//! half a millimetre further out), and a slab slips at 0.85 to 0.91 of 2·μ·N, where μ is the mean of
+//! What the grip is like is measured in `server/tests/mechanics.rs` and `server/tests/grasp.rs`. A finger
+//! presses with the squeeze that is asked for where that is defined, 1 mm from the tip, and with 0.95 of it
+//! half a millimetre further out. A slab slips at 0.85 to 0.91 of 2·μ·N, where μ is the mean of
 //! both coefficients. Friction has no memory of places: under load, what is held creeps
 //! by some micrometres with every movement.
 

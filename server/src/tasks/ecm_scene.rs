@@ -30,8 +30,8 @@
 //! # Camera velocity
 //!
 //! The velocity v = (right, down, forward) is that of a point d = 20 mm ahead of the lens, relative
-//! to it across the optical axis: it asks for the turns ω_down = v_right / d and
-//! ω_right = −v_down / d about the image axes, and v_forward is the speed of the lens itself. So 1.0
+//! to it across the optical axis. It asks for the turns ω_down = v_right / d and
+//! ω_right = −v_down / d about the image axes; v_forward is the speed of the lens itself. So 1.0
 //! across turns the camera by 25 mrad a step, and 1.0 forward brings it on by 0.5 mm.
 //!
 //! The turn about the optical axis is not commanded but follows a law that drives the

@@ -179,8 +179,8 @@ const GOAL_SPREAD: f64 = 0.005;
 /// How far inside the edge of where PSM2 works goals are along x, m: its jaws point along x.
 const GOAL_INSET: f64 = 0.01;
 
-/// How far from PSM1's tip the place near the needle's point can be while PSM1 holds the needle, wherever
-/// it does, m, for a needle of size 1: 39.2 mm to the end of the swage, and half a finger's width.
+/// How far from PSM1's tip the place near the needle's point can be, wherever PSM1 holds the needle, m. For a
+/// needle of size 1: 39.2 mm to the end of the swage, and half a finger's width.
 const OUTREACH: f64 = 0.0402;
 
 /// The task; see the module's description.

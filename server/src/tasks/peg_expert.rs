@@ -1,8 +1,8 @@
 //! The scripted expert that moves a block from peg to peg with one arm.
 //!
-//! It looks only at the present state, so it picks up again what it has lost: open the jaws above a
-//! wall of the block, go down with one finger between wall and peg, close, lift the block over the
-//! pegs, bring it over its target, let it down, open, and leave.
+//! It looks only at the present state, so it picks up again what it has lost. It opens the jaws above a
+//! wall of the block, goes down with one finger between wall and peg, closes, and lifts the block over the
+//! pegs. It brings the block over its target, lets it down, opens, and leaves.
 
 use nalgebra::Vector3;
 use trocar_proto::Stage;

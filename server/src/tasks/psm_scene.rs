@@ -8,15 +8,17 @@
 //!
 //! `arm = "si"` puts an arm of the S and Si where the one of the first generation stands by default, with
 //! the same remote centre. Equal joints bring the wrist to the same pose, and the jaws and all that they touch are
-//! the same. What differs: limits of yaw (±169.8° instead of ±91.0°), pitch (−72.5° to 74.5° instead of ±53.0°) and
-//! insertion (0.29 m instead of 0.24 m), which hold all of the first generation's; and what is drawn, a
-//! shaft and rail 50.8 mm longer.
+//! the same. Two things differ:
+//!
+//! - Limits of yaw (±169.8° instead of ±91.0°), pitch (−72.5° to 74.5° instead of ±53.0°) and insertion (0.29 m instead
+//!   of 0.24 m). They hold all of the first generation's.
+//! - What is drawn: a shaft and rail 50.8 mm longer.
 //!
 //! # Actions
 //!
 //! Every action moves from the pose that the joint sensors report. The resulting pose is confined:
 //! the wrist to the workspace and a margin around it ([`REACH`]), the tip to the same box in x and
-//! y, and the height so that the closed jaws, as they truly are, stay 0.05 mm above the pad, or as far in it as it
+//! y. The closed jaws, as they truly are, stay 0.05 mm above the pad, or as far in it as it
 //! gives: encoders that err keep no arm from what lies on it. A pose outside the arm's
 //! joint limits, or one that would take a whole turn of the roll, is not taken: the arm stays
 //! where it is for that step.

@@ -1,6 +1,10 @@
-//! DDPG for sparse rewards: Lillicrap et al., Continuous control with deep reinforcement learning, ICLR
-//! 2016, with what `OpenAI` baselines' HER adds (inputs relative to what was seen, targets within possible
-//! returns, a cost of large actions, target networks that move after every round of updates).
+//! DDPG for sparse rewards (Lillicrap et al., Continuous control with deep reinforcement learning, ICLR
+//! 2016), with what `OpenAI` baselines' HER adds:
+//!
+//! - inputs relative to what was seen,
+//! - targets within possible returns,
+//! - a cost of large actions,
+//! - target networks that move after every round of updates.
 
 use anyhow::Result;
 use candle_core::{Device, Tensor, Var};

@@ -164,7 +164,7 @@ impl World {
     }
 
     /// Where a body that `motion` would take from where it is would be nearest to furniture, or overlap
-    /// with it most: the depth is below 0 where they are apart, and −∞ where they are further apart
+    /// with it most. The depth is below 0 where they are apart. It is −∞ where they are further apart
     /// than contacts are looked at.
     pub(crate) fn meets_furniture(&self, body: BodyId, motion: &Pose) -> Overlap {
         let motion = frames::to_engine(motion);

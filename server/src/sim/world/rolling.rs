@@ -80,7 +80,7 @@ impl World {
     }
 
     /// Stops an object that turns otherwise than with `rate` about the line along which it is touched, or
-    /// about any direction across the grip if that is but a point, and bears for the substep to come what
+    /// about any direction across the grip if that is but a point. For the substep to come, bears what
     /// turns it so: its weight and what pulls at it. Turns about the other directions are what the engine's
     /// rows are good at.
     fn stop_rolling(&mut self, object: RigidBodyHandle, touches: &[Touch], rate: Vector) {
