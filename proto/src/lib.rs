@@ -5,10 +5,11 @@
 //! | [`endpoint`] | where a server is found: names, folders, transport configuration |
 //! | [`door`] | what tells the server that messages are there, and of which sessions; where either side sleeps |
 //! | [`bell`] | what tells a client that a reply is there |
-//! | [`sleep`] | threads that sleep until somebody wakes them up |
+//! | [`sleep`] | threads that sleep until another thread wakes them up |
 //! | [`vigil`] | waiting for a message awake |
 //! | [`cause`] | why an operation of the transport failed, in its own words |
 //! | [`missing_page`] | making shared memory while there is none |
+//! | [`open_files`] | how many files a process has open, and what clients and sessions take |
 //! | [`control`] | rare messages: hello, tasks, sessions, status (serde + bincode, at most 64 KiB) |
 //! | [`columns`] | what each environment's row of a reply holds |
 //! | [`wire`] | frequent messages: step and reset as plain arrays in shared memory |
