@@ -55,10 +55,21 @@ demo: $(VENV)/ready ## * one server, a Rust and two Python clients at once; a ta
 
 # Also what `every_task_looks_as_it_did` expects.
 .PHONY: pictures
-pictures: ## assets/pictures: a picture of every task, for the README and the tests, and needle_pick.gif
+pictures: ## assets/pictures: every task, for the README and the tests; needle_pick.gif; every policy at work
 	$(CARGO) build --release --locked -p trocar
 	$(TARGET)/release/trocar render --each assets/pictures
 	$(TARGET)/release/trocar render --task NeedlePick-v0 --out assets/pictures/needle_pick.gif
+	for policy in assets/policies/*.onnx; do \
+		name=$$(basename $$policy .onnx); \
+		$(TARGET)/release/trocar render --policy $$policy --seed 0 --seconds 8 --fps 5 --size 160x120 \
+			--out assets/policies/$$name.gif; \
+	done
+
+# Those that are in the program and in assets/policies: of each task's runs in RUNS, the policy with the best score.
+RUNS ?= runs
+.PHONY: policies
+policies: .venv-rl/ready ## * assets/policies: the best policies of the runs in RUNS, which were evaluated, as ONNX with cards
+	$(RL_BIN)/python -m trocar.rl best $(RUNS) --out assets/policies
 
 # What `experts_do_as_well_as_the_table_says_and_stay_in_bounds` expects.
 .PHONY: experts

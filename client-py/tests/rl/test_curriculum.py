@@ -139,6 +139,7 @@ TD3: dict[str, Any] = {
     "clone_updates": 1,
     "critic_updates": 1,
     "train_every": 10,
+    "enough": 0.0,
 }
 
 

@@ -29,7 +29,13 @@ SMALL: dict[str, Any] = {
     "eval_episodes": 4,
     "batch_size": 64,
 }
-OWN: dict[str, Any] = {"envs": 2, "updates": 1, "warm_up": 4, "critic_updates": 50}
+OWN: dict[str, Any] = {
+    "envs": 2,
+    "updates": 1,
+    "warm_up": 4,
+    "critic_updates": 50,
+    "enough": 0.0,
+}
 RUNS: dict[str, tuple[str, dict[str, Any]]] = {
     "her": ("NeedleReach-v0", {"updates": 60}),
     "her-demo": ("NeedlePick-v0", {"updates": 60, "demos": 3, "demo_batch": 16}),
@@ -346,7 +352,7 @@ def test_tables_are_means_over_policies(tmp_path: Path, capsys: pytest.CaptureFi
         ("NeedlePick", "her", {"clone_weight": 1.0}, "her-demo"),
         ("NeedlePick", "ppo", {"noise": 0.1}, "ppo does not use it"),
         ("NeedlePick", "bc", {"gamma": 0.9}, "bc does not use it"),
-        ("NeedlePick", "td3-her", {"demos": 5}, "td3-her does not use it"),
+        ("NeedlePick", "td3-her", {"demos": 5}, "for a curriculum only"),
         ("NeedlePick", "td3-demo", {"demo_batch": 256}, "demo_batch"),
         ("NeedlePick", "td3-demo", {"envs": 24}, "multiple"),
         ("NeedlePick", "td3-demo", {"hindsight": 1.5}, "hindsight"),
@@ -370,7 +376,7 @@ def test_every_task_has_its_configurations() -> None:
         for algo in ("ddpg", "ppo", "bc", "dagger", "td3-her", None):
             assert Config.from_json(load(task, algo).to_json()) == load(task, algo)
     assert load("NeedlePick", "her-demo").policy_weight == 0.001
-    assert load("NeedlePick").algo == "td3-demo"
+    assert load("NeedlePick").algo == "dagger"
     assert load("NeedleReach").algo == "td3-her"
     assert load("NeedlePick", "her").but(inputs="relative").inputs == ("relative",)
     assert load("trocar/MisOrient-v0", "her").norm_eps == 0.01

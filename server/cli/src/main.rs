@@ -4,12 +4,13 @@
 //! |---|---|
 //! | `serve.rs`, `status.rs`, `stop.rs`, `clean.rs` | a server's life |
 //! | `tasks.rs`, `rollout.rs`, `bench.rs` | what there is to learn, how well a policy does, how fast |
+//! | `learn.rs` | trains a policy, in Python |
 //! | `render.rs` | pictures of rollouts: contact sheets, moving pictures |
 //! | `record.rs`, `replay.rs` | episodes as files, from which they are played again |
 //! | `demos.rs` | scripted experts as data sets |
 //! | `demo.rs` | a moving picture; one server and three clients in two languages at once |
 //! | `load.rs` | many clients at once that are killed and stopped, each compared with a twin |
-//! | `policy.rs`, `network.rs` | who acts: experts, chance, policies that were trained |
+//! | `policy.rs`, `policies.rs` | who acts: experts, chance, policies that were trained; those that come with Trocar |
 //! | `process.rs`, `options.rs` | processes that are started; options as text |
 //! | `usage.rs`, `inherited.rs` | what other processes use, and what they leave open |
 //! | `logging.rs` | what is logged, and how |
@@ -21,10 +22,12 @@ mod demo;
 mod demos;
 mod exit;
 mod inherited;
+mod learn;
 mod load;
 mod logging;
 mod options;
 mod output;
+mod policies;
 mod policy;
 mod process;
 mod record;
@@ -56,6 +59,8 @@ A first session:
   trocar demo                                    a moving picture, a server and three clients
   trocar tasks                                   what there is to learn
   trocar rollout --task NeedleReach-v0           how well its scripted expert does, in this process
+  trocar policies                                policies that were trained already
+  trocar learn NeedlePick                        trains one, in minutes
   trocar render --out all.png                    what every task looks like
   trocar serve --name lab                        a server that trainers share (Ctrl-C ends it)
   trocar rollout --task all --server lab         the same episodes, in that server
@@ -90,6 +95,10 @@ enum Command {
     Clean(clean::Clean),
     /// List the tasks and their options
     Tasks(tasks::Tasks),
+    /// List the policies that come with Trocar, and how well they do
+    Policies(policies::Policies),
+    /// Train a policy of a task, by the best way known, in minutes
+    Learn(learn::Learn),
     /// Run a policy for some episodes and report how often it succeeds
     Rollout(rollout::Rollout),
     /// Draw rollouts: a contact sheet, a moving picture, or one picture of each task
@@ -130,6 +139,8 @@ fn run(command: Command) -> anyhow::Result<()> {
         Command::Stop(stop) => stop.run(),
         Command::Clean(clean) => clean.run(),
         Command::Tasks(tasks) => tasks.run(),
+        Command::Policies(policies) => policies.run(),
+        Command::Learn(learn) => learn.run(),
         Command::Rollout(rollout) => rollout.run(),
         Command::Render(render) => render.run(),
         Command::Record(record) => record.run(),

@@ -1,7 +1,8 @@
 //! A task's options as flags, and as JSON.
 
+use anyhow::Context;
 use clap::Args;
-use serde_json::{Value, json};
+use serde_json::{Map, Value, json};
 use trocar_proto::spec::{Allowed, OptionSpec};
 use trocar_proto::{OptionValue, Options, TaskSpec};
 pub(crate) use trocar_server::tasks::Assignment;
@@ -90,6 +91,36 @@ pub(crate) fn for_tasks(
     tasks.iter().map(with_options).collect()
 }
 
+/// The assignments of a JSON object: values by the name of their option.
+pub(crate) fn from_json(object: &str) -> anyhow::Result<Vec<Assignment>> {
+    fn text(value: &Value) -> Option<String> {
+        match value {
+            Value::Bool(_) | Value::Number(_) => Some(value.to_string()),
+            Value::String(word) => Some(word.clone()),
+            Value::Array(parts) => {
+                parts.iter().map(text).collect::<Option<Vec<_>>>().map(|parts| parts.join(","))
+            }
+            Value::Null | Value::Object(_) => None,
+        }
+    }
+    let object: Map<String, Value> = serde_json::from_str(object)?;
+    let mut assignments = vec![];
+    for (name, value) in &object {
+        let rows = match value {
+            Value::Object(rows) => {
+                rows.iter().map(|(row, value)| (format!("{name}.{row}"), value)).collect()
+            }
+            value => vec![(name.clone(), value)],
+        };
+        for (path, value) in rows {
+            let text = text(value)
+                .with_context(|| format!("options.{path} = {value}: no option has such a value"))?;
+            assignments.push(Assignment::parse(&format!("{path}={text}")).map_err(Exit::Usage)?);
+        }
+    }
+    Ok(assignments)
+}
+
 /// A value as JSON.
 pub(crate) fn json(value: &OptionValue) -> Value {
     match value {
@@ -145,6 +176,23 @@ mod tests {
         assert_eq!(options.row("domain", "latency"), Some([0.0, 2.0].as_slice()));
         assert_eq!(options.row("domain", "observation_noise"), Some([0.0, 0.001].as_slice()));
         assert!(read(&["observation=state"]).is_ok());
+    }
+
+    #[test]
+    fn a_policys_options_are_read_and_others_win() {
+        let trained = r#"{"reward": "dense", "rate": 10, "domain": {"latency": [0, 2]}, "observation": ["state", "joints"]}"#;
+        let mut assignments = from_json(trained).unwrap();
+        assignments.push(Assignment::parse("reward=sparse").unwrap());
+        let spec = Registry::builtin().spec("NeedleReach-v0", &Options::new()).unwrap();
+        let options = options(&assignments, &spec.options).unwrap();
+        assert_eq!(options.text("reward"), Some("sparse"));
+        assert_eq!(options.row("domain", "latency"), Some([0.0, 2.0].as_slice()));
+        assert_eq!(options.0["rate"], OptionValue::Number(10.0));
+        let words = ["state", "joints"].map(String::from).to_vec();
+        assert_eq!(options.0["observation"], OptionValue::Texts(words));
+        for wrong in ["[1]", r#"{"rate": null}"#, r#"{"domain": {"latency": {}}}"#, "{"] {
+            assert!(from_json(wrong).is_err(), "{wrong}");
+        }
     }
 
     #[test]

@@ -2,6 +2,7 @@
 
 use std::path::Path;
 
+use anyhow::Context;
 use clap::ValueEnum;
 use serde::Serialize;
 use trocar_network::{Network, Seen};
@@ -10,6 +11,8 @@ use trocar_server::sim::random::Rng;
 use trocar_server::{Env, Step, StepError};
 
 use crate::exit::Exit;
+use crate::options::{self, Assignment};
+use crate::policies;
 
 /// Who chooses the actions.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum, Serialize)]
@@ -63,12 +66,12 @@ impl Actor {
 pub(crate) enum Chooser {
     /// The expert, or random numbers.
     Policy(Policy),
-    /// A policy from a file.
+    /// A policy that was trained.
     Network(Network),
 }
 
 impl Chooser {
-    /// Reads `oracle`, `random`, or the name of an ONNX file.
+    /// Reads `oracle`, `random`, the name of an ONNX file, or a task that has a policy.
     pub(crate) fn read(text: &str) -> anyhow::Result<Self> {
         if let Ok(policy) = Policy::from_str(text, false) {
             return Ok(Self::Policy(policy));
@@ -77,8 +80,21 @@ impl Chooser {
         if path.extension().is_some_and(|extension| extension == "onnx") {
             return Ok(Self::Network(Network::load(path).map_err(|error| unfit(&error))?));
         }
-        let allowed = "allowed are oracle, random, or the name of a file that ends in .onnx";
-        Err(Exit::Usage(format!("--policy {text}: {allowed}")).into())
+        if let Some(network) = policies::find(text) {
+            return Ok(Self::Network(network));
+        }
+        let tasks = policies::names().collect::<Vec<_>>().join(", ");
+        let allowed =
+            "allowed are oracle, random, the name of a file that ends in .onnx, or a task";
+        Err(Exit::Usage(format!("--policy {text}: {allowed}: {tasks}")).into())
+    }
+
+    /// Options of a task: those with which a policy was trained, then `given`, which win.
+    pub(crate) fn with_options(&self, given: Vec<Assignment>) -> anyhow::Result<Vec<Assignment>> {
+        let Self::Network(network) = self else { return Ok(given) };
+        let trained = options::from_json(network.options().unwrap_or("{}"));
+        let trained = trained.with_context(|| format!("the options of {self}"))?;
+        Ok([trained, given].concat())
     }
 
     /// An error unless it can act in a task.

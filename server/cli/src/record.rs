@@ -29,7 +29,7 @@ static INTERRUPTED: AtomicBool = AtomicBool::new(false);
 #[command(after_help = "\
 Examples:
   trocar record --task NeedlePick-v0 --episodes 5 --out pick.trocar     the scripted expert, in this process
-  trocar record --policy policy.onnx --out trained.trocar
+  trocar record --policy NeedlePick --out trained.trocar                one of `trocar policies`
   trocar record --name lab --session 3 --env 0 --out live.trocar        what a trainer does, until Ctrl-C
   trocar replay pick.trocar                                             plays it again and compares every bit
 
@@ -40,7 +40,8 @@ pub(crate) struct Record {
     /// A task id of `trocar tasks` [default: the policy's]
     #[arg(long, conflicts_with = "session")]
     task: Option<String>,
-    /// Who acts: oracle (the task's scripted expert), random, or a trained policy, FILE.onnx
+    /// Who acts: oracle (the task's scripted expert), random, or a trained policy: FILE.onnx, or a name
+    /// of `trocar policies`
     #[arg(long, default_value = "oracle", conflicts_with = "session")]
     policy: String,
     /// How many episodes [default: 1; of a session, until Ctrl-C]
@@ -97,7 +98,8 @@ impl Record {
             return Err(Exit::Usage("--task: which task is to be recorded?".into()).into());
         }
         let spec = registry.spec(&task, &trocar_proto::Options::new())?;
-        let chosen = crate::options::for_tasks(&self.options.assignments(), &[spec])?;
+        let assignments = policy.with_options(self.options.assignments())?;
+        let chosen = crate::options::for_tasks(&assignments, &[spec])?;
         let (task, options) = chosen.into_iter().next().context("one task was chosen")?;
         let mut env = registry.make(&task, &options)?;
         policy.check(env.spec())?;

@@ -30,6 +30,7 @@ Examples:
   trocar render --task ActiveTrack-v0 --fps 50 --out track.gif smoother, in as long
   trocar render --task PegTransfer-v0 --camera endoscope --show rgb,depth,mask --out peg.png
   trocar render --task NeedlePick-v0 --eye 0.8,0.2,0.9 --target 0.55,0,0.7 --out near.png
+  trocar render --policy NeedlePick --seconds 5 --out pick.gif one of `trocar policies`
   trocar render --policy policy.onnx --out trained.gif         a policy of `python -m trocar.rl export`
   trocar render --each pictures/                               one picture of each task
 
@@ -39,12 +40,16 @@ pub(crate) struct Render {
     /// A task id of `trocar tasks`, or all
     #[arg(long, default_value = "all")]
     task: String,
-    /// The agent: oracle (the task's scripted expert), random, or a trained policy, FILE.onnx
+    /// The agent: oracle (the task's scripted expert), random, or a trained policy: FILE.onnx, or a
+    /// name of `trocar policies`
     #[arg(long, default_value = "oracle")]
     policy: String,
     /// Seed of the episode
     #[arg(long, default_value_t = 3)]
     seed: u64,
+    /// Show no more of the episode than this, s of simulated time
+    #[arg(long, value_name = "SECONDS", default_value_t = f64::INFINITY, hide_default_value = true)]
+    seconds: f64,
     #[command(flatten)]
     look: Look,
     /// Any option of the task; for a row of a table NAME.ROW=LOW,HIGH. May be repeated
@@ -66,7 +71,7 @@ impl Render {
         let ids = policy.tasks(&self.task, all)?;
         let specs: Result<Vec<_>, _> =
             ids.iter().map(|id| registry.spec(id, &Options::new())).collect();
-        let tasks = options::for_tasks(&self.options, &specs?)?;
+        let tasks = options::for_tasks(&policy.with_options(self.options.clone())?, &specs?)?;
         let (path, format) = match (&self.each, &self.out) {
             (Some(folder), _) => return self.each(&registry, &policy, &tasks, folder),
             (None, Some(path)) => (path, Format::of(path)?),
@@ -129,7 +134,8 @@ impl Render {
         let mut agent = policy.agent(env.spec(), self.seed);
         let mut moments = self.look.moments(format, env.spec().seconds_per_step);
         moments.see(env.stage(), || env.scene());
-        while !env.needs_reset() {
+        let shown = |env: &Env| f64::from(env.steps()) * env.spec().seconds_per_step;
+        while !env.needs_reset() && shown(&env) < self.seconds {
             let (stage, parts) = (env.stage(), moments.parts());
             let action = agent.act(&env)?;
             let step = env

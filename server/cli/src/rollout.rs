@@ -19,6 +19,7 @@ use trocar_server::tasks::Registry;
 use crate::options::{self, Assignment, Given};
 use crate::output;
 use crate::policy::Chooser;
+use crate::process::OwnServer;
 
 /// Run a policy for some episodes and report how often it succeeds.
 #[derive(Debug, Args)]
@@ -27,7 +28,9 @@ Examples:
   trocar rollout                                        every task, its scripted expert, 20 episodes
   trocar rollout --task NeedleReach-v0 --policy random --episodes 200 --envs 64
   trocar rollout --task NeedleReach-v0 --spawn narrow --option domain.latency=0,2
-  trocar rollout --policy policy.onnx --episodes 200     a policy of `python -m trocar.rl export`
+  trocar rollout --policy NeedlePick --episodes 200     one of `trocar policies`
+  trocar rollout --policy NeedlePick --view             the same in a browser, as fast as life
+  trocar rollout --policy policy.onnx --episodes 200    a policy of `python -m trocar.rl export`
   trocar rollout --server lab --json                    in the server `trocar serve --name lab`
 
 `success` counts episodes whose last step ends in success, `success ever` those with any such step.
@@ -38,7 +41,8 @@ pub(crate) struct Rollout {
     /// A task id of `trocar tasks`, or all
     #[arg(long, default_value = "all")]
     task: String,
-    /// Who acts: oracle (the task's scripted expert), random, or a trained policy, FILE.onnx
+    /// Who acts: oracle (the task's scripted expert), random, or a trained policy: FILE.onnx, or a name
+    /// of `trocar policies`
     #[arg(long, default_value = "oracle")]
     policy: String,
     /// How many episodes of each task
@@ -53,6 +57,9 @@ pub(crate) struct Rollout {
     /// Run in the server of that name instead of in this process
     #[arg(long, value_name = "NAME")]
     server: Option<String>,
+    /// Run in a server of its own, as fast as life, and show the episodes in its viewer
+    #[arg(long, conflicts_with = "server")]
+    view: bool,
     #[command(flatten)]
     options: Given,
     /// One JSON object per task and line, on stdout
@@ -68,6 +75,8 @@ struct Job<'a> {
     episodes: u32,
     seed: u64,
     envs: u32,
+    /// No faster than life.
+    lifelike: bool,
 }
 
 impl Job<'_> {
@@ -150,12 +159,14 @@ impl Place {
 
 impl Rollout {
     pub(crate) fn run(self) -> anyhow::Result<()> {
-        let place = match &self.server {
+        let viewed = self.view.then(start_viewed).transpose()?;
+        let name = viewed.as_ref().map(OwnServer::name).or(self.server.as_deref());
+        let place = match name {
             Some(name) => Place::Server(Client::connect(name)?),
             None => Place::Here(Registry::builtin()),
         };
         let policy = Chooser::read(&self.policy)?;
-        let assignments = self.options.assignments();
+        let assignments = policy.with_options(self.options.assignments())?;
         let header = ["task", "policy", "episodes", "success", "success ever", "mean return"];
         let header: Vec<_> = header.into_iter().chain(["mean length", "steps/s"]).collect();
         let mut table = output::table(&header, 2);
@@ -178,7 +189,8 @@ impl Rollout {
         if !self.json {
             eprintln!("{table}");
         }
-        Ok(())
+        drop(place);
+        viewed.map_or(Ok(()), OwnServer::stop)
     }
 
     /// The tasks to run, each with the options that it knows.
@@ -208,8 +220,8 @@ impl Rollout {
             .iter()
             .find(|option| option.name == "grasp")
             .map(|option| options::json(options.0.get("grasp").unwrap_or(&option.default)));
-        let Self { episodes, seed, envs, .. } = *self;
-        let job = Job { task, options, policy, episodes, seed, envs };
+        let Self { episodes, seed, envs, view: lifelike, .. } = *self;
+        let job = Job { task, options, policy, episodes, seed, envs, lifelike };
 
         let progress = progress_bar(task, episodes);
         let start = Instant::now();
@@ -237,6 +249,13 @@ impl Rollout {
             steps_per_second: mean_length * count / seconds,
         })
     }
+}
+
+/// A server whose viewer people are told of.
+fn start_viewed() -> anyhow::Result<OwnServer> {
+    let server = OwnServer::start(&format!("rollout-{}", std::process::id()).parse()?, &[])?;
+    eprintln!("Watch it at http://{}", server.viewer()?);
+    Ok(server)
 }
 
 /// A bar on stderr, which shows nothing where that is not a terminal.

@@ -10,6 +10,9 @@ use serde_json::Value;
 
 const TASK: &str = "NeedleReach-v0";
 
+/// Metadata that says so.
+const FOR_TASK: &[(&str, &str)] = &[("trocar.task", TASK)];
+
 /// How long a server may take to come up.
 const PATIENCE: Duration = Duration::from_mins(1);
 
@@ -55,8 +58,9 @@ mod proto {
 }
 
 /// A network that goes towards the goal: `tanh((desired − achieved) · matrix)`, where the matrix has
-/// `gain` (1/m) for each axis and nothing for the other actions. Inputs have `width` numbers.
-fn towards_goal(name: &str, task: Option<&str>, gain: f32, width: u64) -> PathBuf {
+/// `gain` (1/m) for each axis and nothing for the other actions. Inputs have `width` numbers; `told` is the
+/// file's metadata.
+fn towards_goal(name: &str, told: &[(&str, &str)], gain: f32, width: u64) -> PathBuf {
     use proto::{bytes, number};
     let node = |kind: &str, inputs: &[&str], output: &str| {
         let inputs = inputs.iter().flat_map(|input| bytes(1, input.as_bytes()));
@@ -85,9 +89,8 @@ fn towards_goal(name: &str, task: Option<&str>, gain: f32, width: u64) -> PathBu
         port(12, "action", 5),
     ];
     let mut model = [number(1, 8), bytes(7, &graph.concat()), bytes(8, &number(2, 18))].concat();
-    if let Some(task) = task {
-        let entry = [bytes(1, b"trocar.task"), bytes(2, task.as_bytes())].concat();
-        model.extend(bytes(14, &entry));
+    for (key, value) in told {
+        model.extend(bytes(14, &[bytes(1, key.as_bytes()), bytes(2, value.as_bytes())].concat()));
     }
     let path = std::env::temp_dir().join(format!("trocar-{}-{name}.onnx", std::process::id()));
     std::fs::write(&path, model).unwrap();
@@ -96,8 +99,8 @@ fn towards_goal(name: &str, task: Option<&str>, gain: f32, width: u64) -> PathBu
 
 #[test]
 fn a_network_that_goes_to_the_goal_succeeds_and_its_opposite_does_not() {
-    let there = towards_goal("there", Some(TASK), 60.0, 3);
-    let away = towards_goal("away", Some(TASK), -60.0, 3);
+    let there = towards_goal("there", FOR_TASK, 60.0, 3);
+    let away = towards_goal("away", FOR_TASK, -60.0, 3);
     let found = row(&rollout(&there, &[]));
     assert_eq!(found["task"], TASK, "the file says what it was trained for");
     assert_eq!(found["policy"], there.to_str().unwrap());
@@ -110,9 +113,68 @@ fn a_network_that_goes_to_the_goal_succeeds_and_its_opposite_does_not() {
 }
 
 #[test]
+fn it_acts_under_the_options_that_it_was_trained_with_unless_others_are_given() {
+    let told = [FOR_TASK, &[("trocar.options", r#"{"terminate": "success"}"#)]].concat();
+    let policy = towards_goal("options", &told, 60.0, 3);
+    let length = |more: &[&str]| row(&rollout(&policy, more))["mean_length"].as_f64().unwrap();
+    assert!(length(&[]) < 30.0);
+    assert!(length(&["--option", "terminate=never"]) > 49.0);
+    std::fs::remove_file(policy).unwrap();
+}
+
+#[test]
+fn policies_that_come_with_trocar_have_names() {
+    for name in ["NeedleReach", TASK] {
+        let found = row(&rollout(Path::new(name), &[]));
+        assert_eq!((&found["task"], &found["policy"]), (&TASK.into(), &TASK.into()));
+        assert_eq!(found["success_rate"], 1.0);
+    }
+    let output = trocar(&["policies", "--json"]).output().unwrap();
+    let lines = String::from_utf8(output.stdout).unwrap();
+    let cards: Vec<Value> = lines.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
+    assert_eq!(cards.len(), 10);
+    for card in cards {
+        assert!(
+            card["command"].as_str().unwrap().contains(card["task"].as_str().unwrap()),
+            "{card}"
+        );
+    }
+    let folder = std::env::temp_dir().join(format!("trocar-{}-saved", std::process::id()));
+    let saved = trocar(&["policies", "--save", folder.to_str().unwrap()]).output().unwrap();
+    assert!(saved.status.success());
+    let saved = row(&rollout(&folder.join(format!("{TASK}.onnx")), &[]));
+    assert_eq!(saved["success_rate"], 1.0);
+    std::fs::remove_dir_all(folder).unwrap();
+}
+
+#[test]
+fn it_acts_the_same_where_people_watch() {
+    let policy = towards_goal("watched", FOR_TASK, 60.0, 3);
+    let short = ["--option", "terminate=success"];
+    let alone = row(&rollout(&policy, &short));
+    let output = rollout(&policy, &[&short[..], &["--view"]].concat());
+    assert!(String::from_utf8_lossy(&output.stderr).contains("http://"));
+    for field in ["success_rate", "mean_return", "mean_length"] {
+        assert_eq!(row(&output)[field], alone[field], "{field}");
+    }
+    std::fs::remove_file(policy).unwrap();
+}
+
+#[test]
+fn learning_is_that_of_python() {
+    let learn = ["learn", "NeedlePick", "--python", "echo", "--algo", "bc", "--view"];
+    let output = trocar(&learn).output().unwrap();
+    let told = String::from_utf8(output.stdout).unwrap();
+    assert_eq!(told, "-m trocar.rl train --task NeedlePick --algo bc --view\n");
+    let output = trocar(&["learn", "NeedlePick", "--python", "/no/such/python"]).output().unwrap();
+    assert_eq!(output.status.code(), Some(1));
+    assert!(String::from_utf8_lossy(&output.stderr).contains("/no/such/python"));
+}
+
+#[test]
 fn it_can_be_looked_at() {
     let (there, away) =
-        (towards_goal("seen", Some(TASK), 60.0, 3), towards_goal("unseen", Some(TASK), -60.0, 3));
+        (towards_goal("seen", FOR_TASK, 60.0, 3), towards_goal("unseen", FOR_TASK, -60.0, 3));
     let pictures = [&there, &away].map(|policy| {
         let out = policy.with_extension("png");
         let policy = ["--policy", policy.to_str().unwrap(), "--out", out.to_str().unwrap()];
@@ -139,7 +201,7 @@ fn it_acts_the_same_in_a_server() {
         }
     }
 
-    let policy = towards_goal("served", None, 60.0, 3);
+    let policy = towards_goal("served", &[], 60.0, 3);
     let name = format!("network-{}", std::process::id());
     let server = trocar(&["serve", "--name", &name]).stderr(Stdio::null()).spawn().unwrap();
     let server = Server(server);
@@ -167,13 +229,14 @@ fn what_does_not_fit_is_refused() {
         assert!(stderr.contains(told), "{stderr}");
         assert!(output.stdout.is_empty());
     };
-    let known = towards_goal("known", Some(TASK), 60.0, 3);
+    let known = towards_goal("known", FOR_TASK, 60.0, 3);
     refused(&known, &["--task", "EcmReach-v0"], TASK);
-    let unknown = towards_goal("unknown", None, 60.0, 3);
+    let unknown = towards_goal("unknown", &[], 60.0, 3);
     refused(&unknown, &[], "--task");
-    let wide = towards_goal("wide", None, 60.0, 4);
+    let wide = towards_goal("wide", &[], 60.0, 4);
     refused(&wide, &["--task", TASK], "4 numbers");
     refused(Path::new("policy.pt"), &[], ".onnx");
+    refused(Path::new("NeedlePack"), &[], "NeedlePick");
     refused(Path::new("/no/such/policy.onnx"), &[], "/no/such/policy.onnx");
     std::fs::write(&wide, b"no network").unwrap();
     refused(&wide, &["--task", TASK], "--policy");

@@ -16,8 +16,11 @@ use std::{fs, io};
 use rten::{Dimension, Model, NodeId, RunOptions, ThreadPool, ValueView};
 use trocar_proto::TaskSpec;
 
-/// The field of the file's metadata that names the task.
+/// Fields of the file's metadata: the task's id; its options as JSON; Trocar's version; the card as JSON.
 const TASK: &str = "trocar.task";
+const OPTIONS: &str = "trocar.options";
+const VERSION: &str = "trocar.version";
+const CARD: &str = "trocar.card";
 
 /// Why a policy gives no action.
 #[derive(Debug, thiserror::Error)]
@@ -133,6 +136,21 @@ impl Network {
     /// The task that it was trained for, if the file says so.
     pub fn task(&self) -> Option<&str> {
         self.model.metadata().get(TASK)
+    }
+
+    /// The options of the task that it was trained with, a JSON object, if the file says so.
+    pub fn options(&self) -> Option<&str> {
+        self.model.metadata().get(OPTIONS)
+    }
+
+    /// The version of Trocar that it was trained in, if the file says so.
+    pub fn version(&self) -> Option<&str> {
+        self.model.metadata().get(VERSION)
+    }
+
+    /// How it was trained and how well it does, a JSON object, if the file says so.
+    pub fn card(&self) -> Option<&str> {
+        self.model.metadata().get(CARD)
     }
 
     /// An error unless it can act in a task.

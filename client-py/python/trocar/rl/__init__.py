@@ -3,9 +3,9 @@
 Needs the extra ``trocar[rl]``. From a shell:
 
     python -m trocar.rl train --task NeedlePick
-    python -m trocar.rl evaluate runs/NeedlePick-v0/td3-demo/seed-0 --episodes 200
+    python -m trocar.rl evaluate runs/NeedlePick-v0/dagger/seed-0 --episodes 200
     python -m trocar.rl curves runs --out curves.png
-    python -m trocar.rl export runs/NeedlePick-v0/td3-demo/seed-0 --out policy.onnx
+    python -m trocar.rl export runs/NeedlePick-v0/dagger/seed-0 --out policy.onnx
 
 Parts to build on: :func:`play` plays episodes in many environments, :class:`Episodes` keeps them
 and draws transitions with hindsight goals, :class:`Inputs` is what networks see, and

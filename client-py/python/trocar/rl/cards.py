@@ -9,7 +9,7 @@ from typing import Any
 from trocar.errors import InvalidRequest, refuse
 from trocar.registration import RATES, TASKS
 from trocar.rl.config import Config
-from trocar.rl.curves import changes, is_of_returns
+from trocar.rl.curves import changes
 from trocar.rl.runs import Run
 
 PAGE = """\
@@ -19,11 +19,11 @@ The best policy known of each task, as the program has it under its task's name:
 --policy NeedlePick --view` shows it at work, `trocar policies` tells what its card says. The files
 are ONNX, with their features inside; what their cards say is in their metadata.
 
-The policy of a task is the one that scored best while it trained, of all runs; of equals, the
-fastest. The table's figures are of 200 other episodes, and count those whose last step succeeds.
-The last columns are conditions that it was not trained in: twice as many steps a second, arms that
-are 60 ms late, and noise of 0.5 mm that they add to each command. A policy with "contact" needs
-`observation=("state", "contact")`.
+The policy of a task is the one that scored best while it trained, of all runs; of equals, the one
+with the higher return. The table's figures are of 200 other episodes, and count those whose last
+step succeeds. The last columns are conditions that it was not trained in: twice as many steps a
+second, arms that are 60 ms late, and noise of 0.5 mm that they add to each command. A policy with
+"contact" needs `observation=("state", "contact")`.
 
 {table}
 
@@ -86,14 +86,11 @@ def card(run: Run, which: str = "best") -> dict[str, Any]:
 def best(runs: list[Run]) -> list[Run]:
     """Of each task, in their usual order, the run whose policy scored best while it trained.
 
-    Those scores are of other episodes than a card's. Of equals, the one that took the least time.
+    Those scores are of other episodes than a card's. Of equals, the one with the higher return.
     """
 
-    def worth(run: Run) -> tuple[float, float, float]:
-        rows = run.rows()
-        success, returned = max((row["success"], row["mean_return"]) for row in rows)
-        score = returned if is_of_returns(run.config.task) else success
-        return score, -rows[-1]["trainer_cpu_s"] - rows[-1]["server_cpu_s"], returned
+    def worth(run: Run) -> tuple[float, float]:
+        return max((row["success"], row["mean_return"]) for row in run.rows())
 
     found: dict[str, Run] = {}
     for run in sorted(runs, key=worth):

@@ -60,9 +60,9 @@ _PARTS = {
 """The algorithms that only some of the fields are for, and these."""
 
 BEST = {
-    **dict.fromkeys(TASKS, "td3-demo"),
+    **dict.fromkeys(TASKS, "dagger"),
     **dict.fromkeys(("NeedleReach-v0", "EcmReach-v0", "MisOrient-v0", "StaticTrack-v0"), "td3-her"),
-    "ActiveTrack-v0": "ddpg",
+    "ActiveTrack-v0": "bc",
 }
 """The algorithm that is best for each task, as far as is known."""
 

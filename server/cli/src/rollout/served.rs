@@ -1,6 +1,8 @@
 //! Episodes in a server: a session whose environments take the next episode as theirs end.
 
 use std::collections::BTreeMap;
+use std::thread;
+use std::time::{Duration, Instant};
 
 use indicatif::ProgressBar;
 use trocar_client::{Autoreset, Client, Reply, SessionRequest};
@@ -58,9 +60,11 @@ pub(super) fn run(
     let mut session = client.open(&request)?;
     session.want_expert(job.policy.asks_expert());
     let dim = session.spec().action_dim();
+    let step = Duration::from_secs_f64(session.spec().seconds_per_step);
 
     let mut done = vec![Episode::default(); job.episodes as usize];
     let mut next = 0;
+    let mut due = Instant::now();
     // By environment, and so in the order in which a request names them.
     let mut running: BTreeMap<u32, Running> = BTreeMap::new();
     loop {
@@ -85,6 +89,10 @@ pub(super) fn run(
         let env_ids: Vec<u32> = running.keys().copied().collect();
         let actions: Vec<f32> =
             running.values().flat_map(|running| &running.action).copied().collect();
+        if job.lifelike {
+            due += step;
+            thread::sleep(due.saturating_duration_since(Instant::now()));
+        }
         session.send(&env_ids, &actions)?;
         let reply = session.recv()?;
         for (row, env) in env_ids.iter().enumerate() {
