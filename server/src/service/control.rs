@@ -377,12 +377,19 @@ impl Host {
                 self.accounts.get(pid).map_or(0, |account| account.ledger.snapshots());
         }
         let files = match kind {
-            ControlRequest::OPEN_SESSION => OpenFiles::now(),
+            ControlRequest::OPEN_SESSION => self.open_files(),
             _ => OpenFiles::default(),
         };
         let sessions = self.sessions.len() + self.ending.len();
         Usage { memory: self.used(), sessions, files, clients }
     }
+    /// The open files, with those that sessions have still to take.
+    fn open_files(&self) -> OpenFiles {
+        let OpenFiles { used, limit } = OpenFiles::now();
+        let due: usize = self.sessions.values().map(SessionHandle::files_due).sum();
+        OpenFiles { used: used + due, limit }
+    }
+
 
     /// The account of a client, new where it has no session.
     fn account(&mut self, client: &ClientInfo) -> Account {
