@@ -48,7 +48,7 @@ pub(super) const REPLIES: usize = MAX_HELD_REPLIES + 2 * MAX_IN_FLIGHT + 1;
 pub(super) type Request = ActiveRequest<Transport, [u8], Header, [u8], Header>;
 
 /// Where requests arrive.
-pub(super) type Port = ServerPort<Transport, [u8], Header, [u8], Header>;
+type Port = ServerPort<Transport, [u8], Header, [u8], Header>;
 
 /// A service with such requests.
 type Service = PortFactory<Transport, [u8], Header, [u8], Header>;
@@ -170,7 +170,7 @@ impl ControlPorts {
         if self.missed.take() {
             self.look_again();
         }
-        self.port.receive().ok().flatten()
+        guarded(|| self.port.receive().ok().flatten()).ok().flatten()
     }
 
     /// Lets the port connect to the clients that it has missed, since another one comes and goes.
@@ -209,7 +209,7 @@ pub(super) fn reply(request: &Request, reply: &ControlReply) {
         let asked = request.user_header();
         *response.user_header_mut() =
             Header { length: length as u32, request: asked.request, ..Header::new(asked.kind) };
-        response.send().map_err(|error| format!("{error:?}"))
+        send(response)
     });
     if let Err(error) = sent {
         tracing::warn!(error, "a control reply was not delivered");
@@ -225,7 +225,7 @@ pub(super) const CONNECTION_FILES: usize = 3;
 
 /// Where the requests of one session arrive, and what tells its client of replies.
 pub(super) struct DataPorts {
-    pub(super) port: Port,
+    port: Port,
     pub(super) bells: Bells,
     service: Service,
     missed: Missed,

@@ -321,8 +321,8 @@ impl Session {
             }
         };
         *response.user_header_mut() = header;
-        if let Err(error) = response.send() {
-            tracing::debug!(session = self.shared.id, ?error, "a reply was not delivered");
+        if let Err(error) = ports::send(response) {
+            tracing::debug!(session = self.shared.id, error, "a reply was not delivered");
         }
         let slept = self.ports.bells.reply().ring();
         if slept {
@@ -500,7 +500,7 @@ impl Guest for Session {
                 self.course.steps += steps;
                 self.course.active = Instant::now();
                 self.course.left -= usize::from(finish);
-                let more = finish || self.ports.port.has_requests().unwrap_or(true);
+                let more = finish || self.ports.has_requests();
                 Attended::Answered { slept, more }
             }
             Ok(None) => self.rest(finish),
