@@ -351,7 +351,6 @@ impl Host {
                 handle.stop(&hall, "shutdown");
             }
         }
-        hall.close();
     }
 
     fn used(&self) -> Footprint {
@@ -383,13 +382,13 @@ impl Host {
         let sessions = self.sessions.len() + self.ending.len();
         Usage { memory: self.used(), sessions, files, clients }
     }
+
     /// The open files, with those that sessions have still to take.
     fn open_files(&self) -> OpenFiles {
         let OpenFiles { used, limit } = OpenFiles::now();
         let due: usize = self.sessions.values().map(SessionHandle::files_due).sum();
         OpenFiles { used: used + due, limit }
     }
-
 
     /// The account of a client, new where it has no session.
     fn account(&mut self, client: &ClientInfo) -> Account {
