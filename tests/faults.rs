@@ -274,13 +274,18 @@ impl Trial {
         (self.server.open_files(), self.server.endpoint().remains().unwrap().len())
     }
 
-    /// Takes what it has for what it is to have: the least of a while, since it opens files for moments.
-    fn settle(&mut self) {
+    /// The least that it holds in a while: it opens files for moments.
+    fn least(&self) -> (usize, usize) {
         let held = (0..50).map(|_| {
             std::thread::sleep(Duration::from_millis(10));
             self.holds()
         });
-        self.held = held.min().unwrap();
+        held.min().unwrap()
+    }
+
+    /// Takes what it has for what it is to have.
+    fn settle(&mut self) {
+        self.held = self.least();
     }
 
     /// Whether it has no more than before, soon.
@@ -325,16 +330,11 @@ impl Trial {
         let calls = strace.detach();
         self.check(fault, &calls, &end, &[IN_THE_LOG]);
         if !self.has_all_back() {
-            let (files, pieces) = self.holds();
-            let most = (self.held.0 + UNCLEARED.0, self.held.1 + UNCLEARED.1);
-            assert!(
-                files <= most.0 && pieces <= most.1,
-                "{:?} after {:?}",
-                self.holds(),
-                self.held
-            );
+            let (held, left) = (self.held, self.least());
+            let few = left.0 <= held.0 + UNCLEARED.0 && left.1 <= held.1 + UNCLEARED.1;
+            assert!(few, "{left:?} after {held:?}");
             self.uncleared += 1;
-            self.settle();
+            self.held = left;
         }
     }
 
