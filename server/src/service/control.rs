@@ -456,7 +456,7 @@ impl Host {
     }
 }
 
-/// Removes what dead clients left, on a thread of its own: for one with 384 sessions the transport computes for 1.7 s.
+/// Removes what dead clients left, on a thread of its own: it may take seconds.
 fn clear(node: Arc<Node>) -> io::Result<JoinHandle<()>> {
     std::thread::Builder::new().name("trocar-clear".into()).spawn(move || {
         // What a client left unfinished may have no memory.

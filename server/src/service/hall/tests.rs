@@ -360,7 +360,7 @@ fn who_panics_is_gone_and_others_are_attended_to() {
 }
 
 #[test]
-fn who_leaves_is_let_go_of_and_workers_end_with_the_last() {
+fn a_guest_that_leaves_is_let_go_of_and_workers_end_with_the_last() {
     let house = House::new("leave", 2);
     let [first, other] = [(); 2].map(|()| house.admit(LITTLE, || {}));
     first.send();
@@ -371,7 +371,7 @@ fn who_leaves_is_let_go_of_and_workers_end_with_the_last() {
     other.await_answer();
     drop([first, other]);
     eventually(|| Arc::strong_count(house.hall()) == 1);
-    // Others come when they are needed again.
+    // Other workers come when they are needed again.
     let late = house.admit(LITTLE, || {});
     late.send();
     late.await_answer();

@@ -121,7 +121,7 @@ impl Worker {
             if state.is_empty() {
                 state.runner &= *kind != Listener::Small;
                 drop(state);
-                // Those who sleep end, too.
+                // Workers that sleep end, too.
                 hall.door.wake(Listener::Any);
                 hall.door.wake(Listener::Small);
                 return None;
