@@ -2,7 +2,9 @@
 //! server. `strace` makes them fail; it counts the calls of each thread by itself.
 //!
 //! Not tested is what no program of Rust survives: a thread that is just begun cannot map its signal stack, or the heap
-//! cannot grow. Nor are errors that Linux does not give for files in `/dev/shm` and whole mappings (`unlink`, `munmap`).
+//! cannot grow. Nor are errors that Linux does not give: for files in `/dev/shm` and whole mappings (`unlink`, `munmap`),
+//! and where a thread wakes another one up. `strace` cannot tell a `futex` that wakes from one that waits. So none of the
+//! server fails, which has many threads: a thread that is not woken up would sleep for ever.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs::{self, File};
@@ -99,8 +101,8 @@ struct Fault {
     when: usize,
 }
 
-/// Every fault that there is in what `calls`, a log, has; every 17th unless this is a soak test.
-fn faults_in(calls: &str) -> Vec<Fault> {
+/// Every fault of the kinds that are `tried` in what `calls`, a log, has; every 17th unless this is a soak test.
+fn faults_in(calls: &str, tried: impl Fn(&Kind) -> bool) -> Vec<Fault> {
     let mut counts = BTreeMap::<(&str, &str), usize>::new();
     let (mut found, mut fatal) = (BTreeSet::new(), BTreeSet::new());
     for line in calls.lines() {
@@ -112,7 +114,7 @@ fn faults_in(calls: &str) -> Vec<Fault> {
             fatal.insert((name, *count));
         }
         for (number, kind) in KINDS.iter().enumerate() {
-            if kind.call == name && call.contains(kind.only) {
+            if kind.call == name && call.contains(kind.only) && tried(kind) {
                 found.insert((number, *count));
             }
         }
@@ -272,13 +274,18 @@ impl Trial {
         (self.server.open_files(), self.server.endpoint().remains().unwrap().len())
     }
 
-    /// Takes what it has for what it is to have: the least of a while, since it opens files for moments.
-    fn settle(&mut self) {
+    /// The least that it holds in a while: it opens files for moments.
+    fn least(&self) -> (usize, usize) {
         let held = (0..50).map(|_| {
             std::thread::sleep(Duration::from_millis(10));
             self.holds()
         });
-        self.held = held.min().unwrap();
+        held.min().unwrap()
+    }
+
+    /// Takes what it has for what it is to have.
+    fn settle(&mut self) {
+        self.held = self.least();
     }
 
     /// Whether it has no more than before, soon.
@@ -323,16 +330,11 @@ impl Trial {
         let calls = strace.detach();
         self.check(fault, &calls, &end, &[IN_THE_LOG]);
         if !self.has_all_back() {
-            let (files, pieces) = self.holds();
-            let most = (self.held.0 + UNCLEARED.0, self.held.1 + UNCLEARED.1);
-            assert!(
-                files <= most.0 && pieces <= most.1,
-                "{:?} after {:?}",
-                self.holds(),
-                self.held
-            );
+            let (held, left) = (self.held, self.least());
+            let few = left.0 <= held.0 + UNCLEARED.0 && left.1 <= held.1 + UNCLEARED.1;
+            assert!(few, "{left:?} after {held:?}");
             self.uncleared += 1;
-            self.settle();
+            self.held = left;
         }
     }
 
@@ -398,7 +400,8 @@ fn try_all(whose: &str, faults: &[Fault], mut attempt: impl FnMut(&mut Trial, Fa
     }
     let (all, seconds) = (faults.len(), start.elapsed().as_secs());
     eprintln!("{whose}: {met} of {all} calls failed, {uncleared} left something; {seconds} s");
-    assert!(2 * met > all, "calls are counted otherwise");
+    // On a busy machine, the server makes fewer of them than were counted.
+    assert!(4 * met > all, "calls are counted otherwise");
 }
 
 /// Says which fault it was when a test fails.
@@ -421,7 +424,7 @@ fn a_client_survives_any_call_that_fails_or_names_it() {
     let trial = Trial::start();
     let (strace, end) = trial.live(Strace::of_calls);
     assert!(end.status.success(), "{}", end.said);
-    let faults = faults_in(&strace.detach());
+    let faults = faults_in(&strace.detach(), |_| true);
     trial.end();
     drop(watchdog);
     try_all("client", &faults, Trial::of_client);
@@ -437,7 +440,7 @@ fn a_server_survives_any_call_that_fails() {
     let mut trial = Trial::start();
     let (strace, end) = trial.serve(Strace::of_calls);
     assert!(end.status.success(), "{}", end.said);
-    let faults = faults_in(&strace.detach());
+    let faults = faults_in(&strace.detach(), |kind| kind.call != "futex");
     trial.end();
     drop(watchdog);
     try_all("server", &faults, Trial::of_server);

@@ -271,7 +271,9 @@ impl Link {
                 control.loan_slice(bytes.len().max(1)).map_err(transport("control request"))?;
             request.payload_mut()[..bytes.len()].copy_from_slice(bytes);
             *request.user_header_mut() = header;
-            let pending = request.send().map_err(transport("control request"))?;
+            let pending = guarded(|| request.send())
+                .map_err(shared_memory)?
+                .map_err(transport("control request"))?;
             if pending.number_of_server_connections() > 0 {
                 break pending;
             }
@@ -289,7 +291,8 @@ impl Link {
         loop {
             // Asked before the reply is looked for: a server answers, and then lets go.
             let held = pending.is_connected();
-            if let Some(reply) = pending.receive().map_err(transport("control reply"))? {
+            let received = guarded(|| pending.receive()).map_err(shared_memory)?;
+            if let Some(reply) = received.map_err(transport("control reply"))? {
                 let length = (reply.user_header().length as usize).min(reply.payload().len());
                 return Ok(control::decode(&reply.payload()[..length])?);
             }
@@ -398,7 +401,8 @@ impl DataPort {
         let mut request = self.port.loan_slice(self.request_bytes).map_err(transport("request"))?;
         fill(request.payload_mut());
         *request.user_header_mut() = header;
-        let request = request.send().map_err(transport("request"))?;
+        let request =
+            guarded(|| request.send()).map_err(shared_memory)?.map_err(transport("request"))?;
         self.slept = self.link.door.ring(self.seat, self.bells.size());
         self.waiting = Instant::now();
         Ok(Pending { request, seen })
@@ -454,7 +458,7 @@ impl DataPort {
         if Arc::strong_count(&self.held) > MAX_HELD_REPLIES && request.has_response() {
             return Err(CallError::TooManyHeld);
         }
-        match request.receive() {
+        match guarded(|| request.receive()).map_err(shared_memory)? {
             Ok(None) if !connected => Err(self.why_unanswered()),
             Ok(response) => {
                 Ok(response.map(|response| RawReply { response, _held: Arc::clone(&self.held) }))

@@ -256,16 +256,14 @@ impl Endpoint {
     pub fn allocate(&self, what: &str) -> io::Result<()> {
         let mut missing = 0;
         for path in self.segments()? {
-            let (Ok(file), Ok(metadata)) =
-                (OpenOptions::new().write(true).open(&path), fs::metadata(&path))
-            else {
-                continue; // removed meanwhile
-            };
+            let Ok(metadata) = fs::metadata(&path) else { continue }; // removed meanwhile
             let promised = metadata.len().saturating_sub(metadata.blocks() * 512);
-            if promised > 0
-                && let Err(error) =
-                    retry_on_intr(|| fallocate(&file, FallocateFlags::empty(), 0, metadata.len()))
-            {
+            if promised == 0 {
+                continue;
+            }
+            let Ok(file) = OpenOptions::new().write(true).open(&path) else { continue };
+            let all = || fallocate(&file, FallocateFlags::empty(), 0, metadata.len());
+            if let Err(error) = retry_on_intr(all) {
                 if error != Errno::NOSPC {
                     return Err(error.into());
                 }

@@ -1,5 +1,6 @@
-//! Making shared memory while `/dev/shm` is full. The transport writes to what it makes before it can be allocated, and
-//! where no page is left, the kernel sends `SIGBUS`, which ends the process. Within [`guarded`], the page is replaced by
+//! Making and opening shared memory while `/dev/shm` is full. The transport writes to what it makes before it can be
+//! allocated, and reads what others could not finish; where no page is left, the kernel sends `SIGBUS`, which ends the
+//! process. Sending and receiving open what partners have made. Within [`guarded`], the page is replaced by
 //! memory of this process instead, and what was made is dropped again and reported as not made.
 
 use std::cell::Cell;

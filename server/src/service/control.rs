@@ -2,8 +2,10 @@
 
 use std::collections::BTreeMap;
 use std::collections::btree_map::Entry;
+use std::io;
 use std::net::{Ipv4Addr, SocketAddr};
 use std::sync::Arc;
+use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 use iceoryx2::port::listener::ListenerWaitError;
@@ -86,6 +88,8 @@ pub(super) fn run(
         sessions: BTreeMap::new(),
         ending: Vec::new(),
         opened: 0,
+        deaths: false,
+        clearance: None,
         view,
         started: Instant::now(),
         stop: stop.clone(),
@@ -146,6 +150,10 @@ struct Host {
     /// Sessions that were closed and are not gone yet, or not known to be.
     ending: Vec<SessionHandle>,
     opened: u64,
+    /// Whether there were dead clients at the last look.
+    deaths: bool,
+    /// The thread that removes what dead clients left, or that did.
+    clearance: Option<JoinHandle<()>>,
     /// The live viewer, from when a client asked for it.
     view: Option<View>,
     started: Instant,
@@ -317,9 +325,10 @@ impl Host {
             heap::give_back();
         }
         self.take_stock();
-        if census.deaths {
-            // What a client left unfinished may have no memory.
-            guarded(|| self.ground.node.try_cleanup_dead_nodes()).ok();
+        // From one look to the next, sessions remove their part; that is faster.
+        let due = std::mem::replace(&mut self.deaths, census.deaths) && census.deaths;
+        if due && self.clearance.as_ref().is_none_or(JoinHandle::is_finished) {
+            self.clearance = clear(Arc::clone(&self.ground.node)).ok();
         }
         if let Some(why) = watch.verdict(census.clients()) {
             tracing::info!(why, "the server ends");
@@ -351,7 +360,9 @@ impl Host {
                 handle.stop(&hall, "shutdown");
             }
         }
-        hall.close();
+        if let Some(clearance) = self.clearance {
+            clearance.join().ok();
+        }
     }
 
     fn used(&self) -> Footprint {
@@ -377,11 +388,18 @@ impl Host {
                 self.accounts.get(pid).map_or(0, |account| account.ledger.snapshots());
         }
         let files = match kind {
-            ControlRequest::OPEN_SESSION => OpenFiles::now(),
+            ControlRequest::OPEN_SESSION => self.open_files(),
             _ => OpenFiles::default(),
         };
         let sessions = self.sessions.len() + self.ending.len();
         Usage { memory: self.used(), sessions, files, clients }
+    }
+
+    /// The open files, with those that sessions have still to take.
+    fn open_files(&self) -> OpenFiles {
+        let OpenFiles { used, limit } = OpenFiles::now();
+        let due: usize = self.sessions.values().map(SessionHandle::files_due).sum();
+        OpenFiles { used: used + due, limit }
     }
 
     /// The account of a client, new where it has no session.
@@ -436,6 +454,14 @@ impl Host {
             memory_bytes: self.used().total(),
         }
     }
+}
+
+/// Removes what dead clients left, on a thread of its own: it may take seconds.
+fn clear(node: Arc<Node>) -> io::Result<JoinHandle<()>> {
+    std::thread::Builder::new().name("trocar-clear".into()).spawn(move || {
+        // What a client left unfinished may have no memory.
+        guarded(|| node.try_cleanup_dead_nodes()).ok();
+    })
 }
 
 fn no_session(session: u64) -> Rejection {

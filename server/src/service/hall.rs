@@ -4,7 +4,8 @@
 //! ([`trocar_proto::door`]). A session whose client has rung gets a turn, the one that has computed least first, and
 //! any worker answers it. So one thread answers what many clients sent, message by message, and the kernel changes
 //! threads only for the clients. Some workers are in the middle of a message and wait for their next turn; besides
-//! them, some workers look.
+//! them, some workers look. All of them end once the last session has: the C library keeps memory that a thread has
+//! freed for as long as that thread lives (`heap.rs`).
 //!
 //! No worker is woken up while all threads are taken: a worker that ends a turn looks at the door. But beside long turns
 //! one worker, the *runner*, sleeps there for sessions that need little, which then go ahead (`turns.rs`). It does nothing
@@ -85,7 +86,6 @@ pub(super) struct Hall {
 }
 
 /// What workers share.
-#[expect(clippy::struct_excessive_bools, reason = "they are independent of each other")]
 pub(super) struct State {
     pub(super) turns: Turns,
     places: Vec<Place>,
@@ -101,7 +101,6 @@ pub(super) struct State {
     timed: bool,
     /// When all seats were last looked at.
     patrolled: Instant,
-    closed: bool,
 }
 
 /// Workers of a kind that sleep at the door.
@@ -191,7 +190,6 @@ impl Hall {
             patient: false,
             timed: false,
             patrolled: Instant::now(),
-            closed: false,
         };
         Ok(Arc::new(Self {
             pool,
@@ -244,17 +242,6 @@ impl Hall {
         state.call(seat);
         let help = state.needs_help(None);
         self.fetch_help(state, help);
-    }
-
-    /// Workers end once the last guest has left.
-    pub(super) fn close(&self) {
-        let mut state = self.lock();
-        state.closed = true;
-        let counts = [Listener::Any, Listener::Small].map(|kind| (kind, state.asleep(kind).count));
-        drop(state);
-        for (kind, count) in counts {
-            (0..count).for_each(|_| self.door.wake(kind));
-        }
     }
 
     pub(super) fn lock(&self) -> MutexGuard<'_, State> {

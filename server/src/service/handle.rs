@@ -1,7 +1,7 @@
 //! A session as others see it: the control loop, which closes it and asks about it, and the viewer.
 
 use std::convert::Infallible;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::mpsc::{Receiver, TryRecvError};
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 use std::time::{Duration, Instant};
@@ -46,6 +46,8 @@ pub(super) struct Shared {
     /// What the task is like; nothing until the session is open.
     pub(super) nature: OnceLock<Nature>,
     pub(super) slot: Slot,
+    /// Open files that it has still to take.
+    pub(super) files_due: AtomicUsize,
 }
 
 /// What the viewer shows of a task.
@@ -120,6 +122,11 @@ impl SessionHandle {
 
     pub(super) fn footprint(&self) -> Footprint {
         self.footprint
+    }
+
+    /// Open files that it has still to take: those of a session that opens, or whose client is not connected yet.
+    pub(super) fn files_due(&self) -> usize {
+        self.shared.files_due.load(Ordering::Relaxed)
     }
 
     /// Drops snapshots of the session.

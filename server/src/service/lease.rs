@@ -1,6 +1,6 @@
 //! Which clients are alive. No message tells of a death, so the server looks: once to four times a
 //! second it lists the participants of the transport, closes the sessions of those that are gone,
-//! and only then removes what they left.
+//! and at the next look removes what they left.
 
 use std::time::{Duration, Instant};
 

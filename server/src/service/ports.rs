@@ -1,4 +1,7 @@
 //! The server's ends of the transport: how its services are made, and what a reply is.
+//!
+//! Whatever looks for requests or sends a reply connects to clients that have come meanwhile, and opens their shared
+//! memory: so it is [`guarded`].
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -10,7 +13,7 @@ use iceoryx2::port::listener::Listener;
 use iceoryx2::port::server::Server as ServerPort;
 use iceoryx2::port::update_connections::UpdateConnections as _;
 use iceoryx2::port::{DegradationAction, DegradationCause, DegradationInfo};
-use iceoryx2::prelude::ServiceName;
+use iceoryx2::prelude::{PortFactory as _, ServiceName};
 use iceoryx2::response_mut::ResponseMut;
 use iceoryx2::service::port_factory::request_response::PortFactory;
 use trocar_proto::Rejection;
@@ -45,9 +48,9 @@ pub(super) const REPLIES: usize = MAX_HELD_REPLIES + 2 * MAX_IN_FLIGHT + 1;
 pub(super) type Request = ActiveRequest<Transport, [u8], Header, [u8], Header>;
 
 /// Where requests arrive.
-pub(super) type Port = ServerPort<Transport, [u8], Header, [u8], Header>;
+type Port = ServerPort<Transport, [u8], Header, [u8], Header>;
 
-/// The service of control requests.
+/// A service with such requests.
 type Service = PortFactory<Transport, [u8], Header, [u8], Header>;
 
 /// A reply that is being written.
@@ -61,6 +64,14 @@ pub(super) fn loan(request: &Request, bytes: usize) -> Result<Response, LoanErro
     // SAFETY: the room lies in a mapping of shared memory, whose bytes are zero until they are
     // first written; and every byte is a valid u8.
     Ok(unsafe { room.assume_init() })
+}
+
+/// Sends a reply. Before that, the transport connects to clients that have come.
+pub(super) fn send(response: Response) -> Result<(), String> {
+    match guarded(|| response.send()) {
+        Ok(sent) => sent.map_err(|error| format!("{error:?}")),
+        Err(error) => Err(error.to_string()),
+    }
 }
 
 /// Most clients at a time: each may have files open in the server for itself and a session.
@@ -159,7 +170,7 @@ impl ControlPorts {
         if self.missed.take() {
             self.look_again();
         }
-        self.port.receive().ok().flatten()
+        guarded(|| self.port.receive().ok().flatten()).ok().flatten()
     }
 
     /// Lets the port connect to the clients that it has missed, since another one comes and goes.
@@ -198,7 +209,7 @@ pub(super) fn reply(request: &Request, reply: &ControlReply) {
         let asked = request.user_header();
         *response.user_header_mut() =
             Header { length: length as u32, request: asked.request, ..Header::new(asked.kind) };
-        response.send().map_err(|error| format!("{error:?}"))
+        send(response)
     });
     if let Err(error) = sent {
         tracing::warn!(error, "a control reply was not delivered");
@@ -209,10 +220,14 @@ pub(super) fn reply(request: &Request, reply: &ControlReply) {
 #[derive(Debug)]
 pub(super) struct Unreachable;
 
+/// Of the open files of a session, those that it takes once its client is connected.
+pub(super) const CONNECTION_FILES: usize = 3;
+
 /// Where the requests of one session arrive, and what tells its client of replies.
 pub(super) struct DataPorts {
-    pub(super) port: Port,
+    port: Port,
     pub(super) bells: Bells,
+    service: Service,
     missed: Missed,
 }
 
@@ -254,7 +269,17 @@ impl DataPorts {
             .set_response_degradation_handler(missed.handler())
             .create()
             .map_err(internal("data port"))?;
-        Ok(Self { port, bells, missed })
+        Ok(Self { port, bells, service, missed })
+    }
+
+    /// Whether there is a client, to which [`Self::receive`] connects.
+    pub(super) fn has_client(&self) -> bool {
+        self.service.dynamic_config().number_of_clients() > 0
+    }
+
+    /// Whether there may be another request.
+    pub(super) fn has_requests(&self) -> bool {
+        guarded(|| self.port.has_requests().unwrap_or(true)).unwrap_or(true)
     }
 
     /// The next request; an error where its client could not be connected, which would wait for replies in vain.

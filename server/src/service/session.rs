@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 use std::convert::Infallible;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::mpsc::{Sender, channel};
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 use std::time::{Duration, Instant};
@@ -13,6 +13,7 @@ use trocar_proto::control::{
 use trocar_proto::door::Size;
 use trocar_proto::endpoint::{Endpoint, Node};
 use trocar_proto::missing_page::guarded;
+use trocar_proto::open_files::SESSION_FILES;
 use trocar_proto::wire::{
     Header, MAX_IN_FLIGHT, PictureLayout, ReplyLayout, RequestLayout, flag, kind,
 };
@@ -91,6 +92,7 @@ pub(super) fn open(
         tape: Tape::default(),
         nature: OnceLock::new(),
         slot: Slot::default(),
+        files_due: AtomicUsize::new(SESSION_FILES),
     });
     let meter = Arc::clone(&ground.meter);
     let (life, ended) = channel();
@@ -221,6 +223,7 @@ impl Session {
         };
         let ports = guarded(|| DataPorts::open(&ground.node, &ground.endpoint, epoch, id, most))
             .map_err(no_room)??;
+        shared.files_due.store(ports::CONNECTION_FILES, Ordering::Relaxed);
         // What is promised to a client is its own from now on, whatever fills shared memory.
         ground.endpoint.allocate("the session").map_err(no_room)?;
         let Shared { task, client, .. } = &*shared;
@@ -318,8 +321,8 @@ impl Session {
             }
         };
         *response.user_header_mut() = header;
-        if let Err(error) = response.send() {
-            tracing::debug!(session = self.shared.id, ?error, "a reply was not delivered");
+        if let Err(error) = ports::send(response) {
+            tracing::debug!(session = self.shared.id, error, "a reply was not delivered");
         }
         let slept = self.ports.bells.reply().ring();
         if slept {
@@ -484,7 +487,12 @@ impl Guest for Session {
         }
         // Asked before a request is looked for: what arrived by then is answered.
         let finish = self.shared.finish.load(Ordering::Acquire);
-        match self.ports.receive() {
+        let connects = self.shared.files_due.load(Ordering::Relaxed) > 0 && self.ports.has_client();
+        let received = self.ports.receive();
+        if connects {
+            self.shared.files_due.store(0, Ordering::Relaxed);
+        }
+        match received {
             Ok(Some(request)) => {
                 let start = Instant::now();
                 let (steps, slept) = self.answer(&request, start, turn);
@@ -492,7 +500,7 @@ impl Guest for Session {
                 self.course.steps += steps;
                 self.course.active = Instant::now();
                 self.course.left -= usize::from(finish);
-                let more = finish || self.ports.port.has_requests().unwrap_or(true);
+                let more = finish || self.ports.has_requests();
                 Attended::Answered { slept, more }
             }
             Ok(None) => self.rest(finish),

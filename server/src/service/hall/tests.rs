@@ -77,7 +77,6 @@ impl House {
 
 impl Drop for House {
     fn drop(&mut self) {
-        self.hall().close();
         if !thread::panicking() {
             // Its guests have left, and workers end with the last of them.
             eventually(|| Arc::strong_count(self.hall()) == 1);
@@ -361,14 +360,19 @@ fn who_panics_is_gone_and_others_are_attended_to() {
 }
 
 #[test]
-fn who_leaves_is_let_go_of_and_others_stay_until_they_leave_though_the_hall_is_closed() {
+fn a_guest_that_leaves_is_let_go_of_and_workers_end_with_the_last() {
     let house = House::new("leave", 2);
     let [first, other] = [(); 2].map(|()| house.admit(LITTLE, || {}));
     first.send();
     first.await_answer();
     first.leave();
     eventually(|| first.mail.gone.load(Ordering::SeqCst));
-    house.hall().close();
     other.send();
     other.await_answer();
+    drop([first, other]);
+    eventually(|| Arc::strong_count(house.hall()) == 1);
+    // Other workers come when they are needed again.
+    let late = house.admit(LITTLE, || {});
+    late.send();
+    late.await_answer();
 }

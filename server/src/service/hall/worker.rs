@@ -118,8 +118,10 @@ impl Worker {
                 state = hall.lock();
                 continue;
             }
-            if state.closed && state.is_empty() {
+            if state.is_empty() {
+                state.runner &= *kind != Listener::Small;
                 drop(state);
+                // Workers that sleep end, too.
                 hall.door.wake(Listener::Any);
                 hall.door.wake(Listener::Small);
                 return None;
