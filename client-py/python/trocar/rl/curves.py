@@ -13,9 +13,11 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import NullFormatter
 from numpy.typing import NDArray
 
 from trocar.errors import InvalidRequest, refuse
+from trocar.registration import TASKS
 from trocar.rl.config import Config, load
 from trocar.rl.runs import Run
 
@@ -131,7 +133,7 @@ def plot(made: list[Curve], path: Path, *, minutes: bool = False) -> None:
             deviation over seeds, dark its error.
     """
     mpl.use("Agg")
-    tasks = sorted({curve.task for curve in made})
+    tasks = [task for task in TASKS if any(curve.task == task for curve in made)]
     columns = min(len(tasks), 5)
     rows = -(-len(tasks) // columns)
     figure = Figure(figsize=(3.6 * columns, 3.4 * rows), dpi=100, layout="constrained")
@@ -161,6 +163,10 @@ def _over_minutes(panel: Axes, curve: Curve, colour: str) -> None:
     panel.plot(curve.cpu_minutes, values, ".-", color=colour, ms=4, label=_legend(curve))
     panel.plot(curve.wall_minutes, values, "--", color=colour, linewidth=0.8)
     panel.set_xscale("log")
+    # The same for all panels: from three seconds to two hours.
+    panel.set_xlim(0.05, 120.0)
+    panel.set_xticks([0.1, 1.0, 10.0, 100.0], labels=["0.1", "1", "10", "100"])
+    panel.xaxis.set_minor_formatter(NullFormatter())
     panel.set_xlabel("minutes (processors: solid, wall: dashed)")
 
 
