@@ -30,6 +30,8 @@ def loaded(
     return minari.load_dataset(f"trocar/{task}/{name}")
 
 
+# `make develop` puts the sources on the path, where Minari looks for an installed package.
+@pytest.mark.filterwarnings("ignore:Package trocar is not installed:UserWarning")
 def test_a_minari_data_set_is_what_the_environment_gives(
     tmp_path: Path, server: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -213,7 +213,7 @@ def test_dagger_learns_what_demonstrations_did_not_show(tmp_path: Path, server: 
 
 
 def test_td3_learns_from_hindsight_alone(tmp_path: Path, server: str) -> None:
-    chosen = config("td3-her", learning_starts=500)
+    chosen = config("td3-her", learning_starts=500, enough=0.0)
     run = train(chosen, 0, out=tmp_path, server=server, say=quietly)
     rows = run.rows()
     assert rows[0]["success"] <= 0.2
