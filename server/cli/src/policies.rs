@@ -66,7 +66,7 @@ pub(crate) struct Policies {
 struct Card {
     algorithm: String,
     #[serde(flatten)]
-    result: Result,
+    result: Score,
     confidence_95: Option<[f64; 2]>,
     trainer_cpu_s: f64,
     server_cpu_s: f64,
@@ -75,7 +75,7 @@ struct Card {
 
 /// How well a policy does.
 #[derive(Debug, Deserialize)]
-struct Result {
+struct Score {
     success_rate: Option<f64>,
     mean_return: f64,
     mean_length: f64,
@@ -86,10 +86,10 @@ struct Result {
 struct Condition {
     name: String,
     #[serde(flatten)]
-    result: Result,
+    result: Score,
 }
 
-impl Result {
+impl Score {
     /// The part of episodes that succeed; of a task without success, the mean reward.
     fn text(&self) -> String {
         match self.success_rate {
