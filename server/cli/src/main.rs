@@ -10,7 +10,7 @@
 //! | `demos.rs` | scripted experts as data sets |
 //! | `demo.rs` | a moving picture; one server and three clients in two languages at once |
 //! | `load.rs` | many clients at once that are killed and stopped, each compared with a twin |
-//! | `policy.rs`, `policies.rs` | who acts: experts, chance, policies that were trained; those that come with Trocar |
+//! | `policy.rs`, `policies.rs` | agents: experts, chance, trained policies; the policies that come with Trocar |
 //! | `process.rs`, `options.rs` | processes that are started; options as text |
 //! | `usage.rs`, `inherited.rs` | what other processes use, and what they leave open |
 //! | `logging.rs` | what is logged, and how |
@@ -68,7 +68,7 @@ A first session:
   trocar demos --task NeedlePick-v0 --out data   its scripted expert as a Minari data set
   trocar bench --quick                           how fast this machine is
   trocar load --kill-every 2 --stop-every 5      what many clients, some of them killed, do to it
-  trocar status --name lab --watch               who is connected, and how fast it runs
+  trocar status --name lab --watch               its clients, and how fast it runs
   trocar stop --name lab                         ends it
 
 Output: with --json, one JSON object a line on stdout; everything for people goes to stderr.
@@ -87,7 +87,7 @@ Environment:
 enum Command {
     /// Start a server that trainers can connect to
     Serve(serve::Serve),
-    /// Show running servers: who is connected and how fast they run
+    /// Show running servers: their clients, and how fast they run
     Status(status::Status),
     /// End a server and wait until it has ended
     Stop(stop::Stop),

@@ -1,4 +1,4 @@
-//! Who acts.
+//! Agents: experts, random numbers, trained policies.
 
 use std::path::Path;
 
@@ -14,7 +14,7 @@ use crate::exit::Exit;
 use crate::options::{self, Assignment};
 use crate::policies;
 
-/// Who chooses the actions.
+/// What chooses the actions.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub(crate) enum Policy {
@@ -25,7 +25,7 @@ pub(crate) enum Policy {
 }
 
 impl Policy {
-    /// The one who acts in the episode of `seed`.
+    /// The agent of the episode of `seed`.
     pub(crate) fn actor(self, seed: u64) -> Actor {
         // No episode of a task has this number, so its randomness is not used twice.
         let rng = || Rng::new(seed, u64::MAX);
@@ -47,7 +47,7 @@ impl std::fmt::Display for Policy {
     }
 }
 
-/// Who acts in one episode: random numbers, or the expert where there are none.
+/// What acts in one episode: random numbers, or the expert where there are none.
 #[derive(Debug, Clone)]
 pub(crate) struct Actor(Option<Rng>);
 
@@ -61,7 +61,7 @@ impl Actor {
     }
 }
 
-/// Who chooses the actions of a rollout.
+/// What chooses the actions of a rollout.
 #[derive(Clone)]
 pub(crate) enum Chooser {
     /// The expert, or random numbers.
@@ -158,7 +158,7 @@ impl Chooser {
         Agent { player: self.player(seed), action, observation, achieved, desired }
     }
 
-    /// The one who acts in the episode of `seed`.
+    /// The agent of the episode of `seed`.
     pub(crate) fn player(&self, seed: u64) -> Player {
         match self {
             Self::Policy(policy) => Player::Actor(Box::new(policy.actor(seed))),
@@ -186,7 +186,7 @@ impl std::fmt::Display for Chooser {
     }
 }
 
-/// Who acts in one episode of a rollout.
+/// What acts in one episode of a rollout.
 pub(crate) enum Player {
     Actor(Box<Actor>),
     Network(Network),

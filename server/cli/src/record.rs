@@ -40,7 +40,7 @@ pub(crate) struct Record {
     /// A task id of `trocar tasks` [default: the policy's]
     #[arg(long, conflicts_with = "session")]
     task: Option<String>,
-    /// Who acts: oracle (the task's scripted expert), random, or a trained policy: FILE.onnx, or a name
+    /// The agent: oracle (the task's scripted expert), random, or a trained policy: FILE.onnx, or a name
     /// of `trocar policies`
     #[arg(long, default_value = "oracle", conflicts_with = "session")]
     policy: String,

@@ -41,7 +41,7 @@ pub(crate) struct Rollout {
     /// A task id of `trocar tasks`, or all
     #[arg(long, default_value = "all")]
     task: String,
-    /// Who acts: oracle (the task's scripted expert), random, or a trained policy: FILE.onnx, or a name
+    /// The agent: oracle (the task's scripted expert), random, or a trained policy: FILE.onnx, or a name
     /// of `trocar policies`
     #[arg(long, default_value = "oracle")]
     policy: String,

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import json
 import shlex
 from typing import Any
 
 from trocar.errors import InvalidRequest, refuse
 from trocar.registration import RATES, TASKS
 from trocar.rl.config import Config
-from trocar.rl.curves import changes
+from trocar.rl.curves import assignment, changes
 from trocar.rl.runs import Run
 
 PAGE = """\
@@ -44,11 +43,12 @@ AS_TRAINED = "as trained"
 
 def conditions(config: Config) -> dict[str, dict[str, Any]]:
     """Conditions in which policies are evaluated, by name: options beside those of the training."""
+    domain = config.task_options.get("domain", {})
     return {
         AS_TRAINED: {},
         "twice the rate": {"rate": 2 * RATES.get(config.task, 5)},
-        "60 ms late": {"domain": {"latency_seconds": [0.06, 0.06]}},
-        "noise 0.5 mm": {"domain": {"action_noise": [0.0005, 0.0005]}},
+        "60 ms late": {"domain": domain | {"latency_seconds": [0.06, 0.06]}},
+        "noise 0.5 mm": {"domain": domain | {"action_noise": [0.0005, 0.0005]}},
     }
 
 
@@ -142,5 +142,5 @@ def command(run: Run) -> str:
     words += ["--seed", str(run.seed)]
     for flag, values in (("--set", changes(config)), ("--option", config.task_options)):
         for name, value in values.items():
-            words += [flag, f"{name}={value if isinstance(value, str) else json.dumps(value)}"]
+            words += [flag, assignment(name, value)]
     return shlex.join(words)

@@ -71,10 +71,12 @@ def label(config: Config) -> str:
         name: value for name, value in config.task_options.items() if value != usual.get(name)
     }
     named = sorted(options.items()) + sorted(changes(config).items())
-    words = [
-        f"{name}={value if isinstance(value, str) else json.dumps(value)}" for name, value in named
-    ]
-    return " ".join([config.algo, *words])
+    return " ".join([config.algo, *(assignment(name, value) for name, value in named)])
+
+
+def assignment(name: str, value: object) -> str:
+    """``NAME=VALUE``, as the command line takes it."""
+    return f"{name}={value if isinstance(value, str) else json.dumps(value)}"
 
 
 def find(folder: Path) -> list[Run]:

@@ -67,7 +67,7 @@ def score(policy: Policy, envs: TrocarVecEnv, seed: int, episodes: int | None = 
     """Runs the episodes of ``seed, seed + 1, …`` without exploring.
 
     Args:
-        policy: Who acts.
+        policy: The policy that acts.
         envs: Environments of the task; each runs episodes of its own.
         seed: Of the first episode.
         episodes: How many; as many as there are environments if ``None``.
@@ -100,7 +100,7 @@ def evaluate(
     """How well a policy does, as ``python -m trocar.rl evaluate`` prints it.
 
     Args:
-        policy: Who acts.
+        policy: The policy that acts.
         config: What it was trained with.
         options: Other options of the task than those.
         seed: Of the first episode.
