@@ -12,7 +12,7 @@ use rand_chacha::ChaCha8Rng;
 use trocar_client::{CallError, SessionRequest};
 use trocar_proto::wire::{Header, kind};
 use trocar_server::Registry;
-use trocar_server::service::{Answer, Desk, ServerConfig, Usage};
+use trocar_server::service::{Admission, Answer, ServerConfig, Usage};
 
 use crate::harness::{Server, eventually, soak};
 use crate::twin::Bystander;
@@ -31,11 +31,11 @@ fn hostile_control_messages_do_not_harm_a_running_server() {
     let ids: Vec<&str> = ids.iter().map(String::as_str).collect();
     let mut mutator = Mutator::new(7, &ids);
     let config = ServerConfig::new(server.name().parse().unwrap());
-    let desk = Desk::new(Arc::new(registry), &config, 1);
+    let admission = Admission::new(Arc::new(registry), &config, 1);
     for index in 0..count() {
         let message = mutator.next();
         // To end the server is every client's right, so it is no attack.
-        if desk.judge(&message.header, &message.bytes, &Usage::default()) == Answer::Shutdown {
+        if admission.check(&message.header, &message.bytes, &Usage::default()) == Answer::Shutdown {
             continue;
         }
         if let Err(error) = client.send_raw(message.header, &message.bytes) {

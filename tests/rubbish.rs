@@ -49,7 +49,7 @@ impl Place {
 
 /// The words of the server and of all its sessions.
 fn words(endpoint: &Endpoint) -> Vec<Place> {
-    let named = |path: &Path| path.to_string_lossy().contains(".bells.");
+    let named = |path: &Path| path.to_string_lossy().contains(".notify.");
     let files = endpoint.files().unwrap();
     let places = files.into_iter().filter(|path| named(path)).filter_map(|path| {
         let bytes = 0..fs::metadata(&path).ok()?.len();

@@ -12,17 +12,17 @@ use iceoryx2::port::{DegradationAction, DegradationCause, DegradationInfo};
 use iceoryx2::prelude::{BackpressureStrategy, EventId, PortFactory, ServiceName};
 use iceoryx2::response::Response;
 use iceoryx2::service::port_factory::client::ClientCreateError;
-use trocar_proto::bell::Bells;
 use trocar_proto::cause;
 use trocar_proto::control::{self, ControlReply, ControlRequest, MAX_MESSAGE, SessionInfo};
-use trocar_proto::door::Door;
 use trocar_proto::endpoint::{
     self, CLIENT_BYTES, Endpoint, Membership, Node, ServerState, Transport,
 };
 use trocar_proto::missing_page::guarded;
+use trocar_proto::notify::doorbell::Doorbell;
+use trocar_proto::notify::futex::WaitOutcome;
+use trocar_proto::notify::reply_event::ReplyEvent;
+use trocar_proto::notify::spin_wait::SpinWait;
 use trocar_proto::open_files::{CLIENT_FILES, OpenFiles};
-use trocar_proto::sleep::Woken;
-use trocar_proto::vigil::Vigil;
 use trocar_proto::wire::{Header, MAX_HELD_REPLIES};
 use trocar_proto::{Code, Rejection};
 
@@ -42,16 +42,16 @@ const BRISK: Duration = Duration::from_micros(200);
 /// How long a server may stand still while a client waits for it.
 const STILL: Duration = Duration::from_secs(7);
 
-/// Longest pause between two looks at its pulse: after more, the client was not waiting.
+/// Longest pause between two looks at its heartbeat: after more, the client was not waiting.
 const PAUSE: Duration = Duration::from_secs(1);
 
 /// How long a control request may take; one that opens a session may have to prepare where its episodes begin.
 const LIMIT: Duration = Duration::from_secs(8);
 const OPENING_LIMIT: Duration = Duration::from_mins(10);
 
-/// The pulse of a server, as its waiting client sees it.
+/// The heartbeat of a server, as its waiting client sees it.
 #[derive(Debug)]
-struct Pulse {
+struct Heartbeat {
     count: u32,
     /// Since when it has been that, under continued watch.
     since: Instant,
@@ -80,7 +80,7 @@ type PendingRequest = PendingResponse<Transport, [u8], Header, [u8], Header>;
 #[derive(Debug)]
 pub(crate) struct Pending {
     request: PendingRequest,
-    /// How often the bell of replies had been rung before it was sent, or when its reply was last looked for.
+    /// How many replies there were before it was sent, or when its reply was last looked for.
     seen: u32,
 }
 
@@ -132,9 +132,9 @@ pub(crate) struct Link {
     /// Threads that share a client take turns: one control request at a time is in flight.
     control: Mutex<Port>,
     missed: Missed,
-    bell: Notifier<Transport>,
-    door: Door,
-    pulse: Mutex<Pulse>,
+    event: Notifier<Transport>,
+    doorbell: Doorbell,
+    heartbeat: Mutex<Heartbeat>,
     node: Node,
     membership: Membership,
     epoch: u64,
@@ -182,14 +182,15 @@ impl Link {
             })?;
         missed.check()?;
         let event =
-            node.service_builder(&name).event().open().map_err(transport("control bell"))?;
-        let bell = event.notifier_builder().create().map_err(transport("control bell port"))?;
-        let door = Door::open(membership.endpoint(), epoch).map_err(io("door"))?;
+            node.service_builder(&name).event().open().map_err(transport("control event"))?;
+        let event = event.notifier_builder().create().map_err(transport("control event port"))?;
+        let doorbell = Doorbell::open(membership.endpoint(), epoch).map_err(io("doorbell"))?;
         membership.endpoint().allocate("a client").map_err(shared_memory)?;
         let now = Instant::now();
-        let pulse = Mutex::new(Pulse { count: door.pulse(), since: now, looked: now });
+        let heartbeat =
+            Mutex::new(Heartbeat { count: doorbell.heartbeat(), since: now, looked: now });
         let control = Mutex::new(control);
-        Ok(Self { control, missed, bell, door, pulse, node, membership, epoch })
+        Ok(Self { control, missed, event, doorbell, heartbeat, node, membership, epoch })
     }
 
     /// The number that names this participant to the server.
@@ -209,7 +210,7 @@ impl Link {
 
     fn check(&self, may_end: bool) -> Result<(), CallError> {
         let endpoint = self.membership.endpoint();
-        // Where it cannot be looked for, this process lacks something. Whether the server goes on, its pulse tells.
+        // Where it cannot be looked for, this process lacks something. Whether the server goes on, its heartbeat tells.
         let Ok(state) = endpoint.look() else { return Ok(()) };
         let closed = match state {
             ServerState::Running { epoch, .. } if epoch == self.epoch => return Ok(()),
@@ -224,14 +225,14 @@ impl Link {
 
     /// An error if the server has stood still while `what` was waited for, which began at `start`. A server that goes on
     /// has a moment to say so.
-    fn check_pulse(&self, what: &str, start: Instant) -> Result<(), CallError> {
-        let (count, now) = (self.door.pulse(), Instant::now());
-        let mut pulse = self.pulse.lock().unwrap_or_else(PoisonError::into_inner);
-        if pulse.count != count || now - pulse.looked > PAUSE {
-            (pulse.count, pulse.since) = (count, now);
+    fn check_heartbeat(&self, what: &str, start: Instant) -> Result<(), CallError> {
+        let (count, now) = (self.doorbell.heartbeat(), Instant::now());
+        let mut heartbeat = self.heartbeat.lock().unwrap_or_else(PoisonError::into_inner);
+        if heartbeat.count != count || now - heartbeat.looked > PAUSE {
+            (heartbeat.count, heartbeat.since) = (count, now);
         }
-        pulse.looked = now;
-        if now - pulse.since < STILL || now - start < 2 * PAUSE {
+        heartbeat.looked = now;
+        if now - heartbeat.since < STILL || now - start < 2 * PAUSE {
             return Ok(());
         }
         Err(self.timeout(format!("{what}; it is stopped or gets no processor"), STILL))
@@ -280,13 +281,13 @@ impl Link {
             self.missed.check()?;
             // Its port is not there yet, or it has not taken an earlier request, whose sender gave up.
             self.check_server()?;
-            self.check_pulse(purpose, start)?;
+            self.check_heartbeat(purpose, start)?;
             if start.elapsed() > LIMIT {
                 return Err(self.timeout(format!("{purpose}; it takes no requests"), LIMIT));
             }
             std::thread::sleep(BRISK);
         };
-        ring(&self.bell)?;
+        notify(&self.event)?;
         let mut checked = start;
         loop {
             // Asked before the reply is looked for: a server answers, and then lets go.
@@ -302,7 +303,7 @@ impl Link {
             }
             if checked.elapsed() > SLICE {
                 self.check_answers()?;
-                self.check_pulse(purpose, start)?;
+                self.check_heartbeat(purpose, start)?;
                 let is_opening = header.kind == ControlRequest::OPEN_SESSION;
                 let limit = if is_opening { OPENING_LIMIT } else { LIMIT };
                 if start.elapsed() > limit {
@@ -323,14 +324,14 @@ impl Link {
 #[derive(Debug)]
 pub(crate) struct DataPort {
     port: Port,
-    seat: u32,
-    bells: Bells,
+    slot: u32,
+    replies: ReplyEvent,
     /// Has a clone in each reply that is held on to.
     held: Arc<()>,
-    vigil: Vigil,
+    spin_wait: SpinWait,
     /// Since when replies have been waited for, at most: the latest request, or the latest loss of patience.
     waiting: Instant,
-    /// Somebody had to be woken up for the latest request.
+    /// A worker had to be woken up for the latest request.
     slept: bool,
     request_bytes: usize,
     session: u64,
@@ -372,16 +373,17 @@ impl DataPort {
             .map_err(transport("data port"))?;
         missed.check()?;
         let endpoint = link.membership.endpoint();
-        let bells = Bells::open(endpoint, epoch, session).map_err(io("session bells"))?;
+        let replies =
+            ReplyEvent::open(endpoint, epoch, session).map_err(io("the session's replies"))?;
         endpoint.allocate("the session").map_err(shared_memory)?;
-        let vigil = Vigil::new();
+        let spin_wait = SpinWait::new();
         let held = Arc::new(());
         Ok(Self {
             port,
-            seat: info.seat,
-            bells,
+            slot: info.slot,
+            replies,
             held,
-            vigil,
+            spin_wait,
             waiting: Instant::now(),
             slept: false,
             request_bytes,
@@ -397,18 +399,18 @@ impl DataPort {
         fill: impl FnOnce(&mut [u8]),
     ) -> Result<Pending, CallError> {
         cause::forget();
-        let seen = self.bells.reply().count();
+        let seen = self.replies.count();
         let mut request = self.port.loan_slice(self.request_bytes).map_err(transport("request"))?;
         fill(request.payload_mut());
         *request.user_header_mut() = header;
         let request =
             guarded(|| request.send()).map_err(shared_memory)?.map_err(transport("request"))?;
-        self.slept = self.link.door.ring(self.seat, self.bells.size());
+        self.slept = self.link.doorbell.ring(self.slot);
         self.waiting = Instant::now();
         Ok(Pending { request, seen })
     }
 
-    /// Waits at most `patience` for the reply to `pending`. It looks for it when the bell was rung, when the time is over,
+    /// Waits at most `patience` for the reply to `pending`. It looks for it when there is a reply more, when the time is over,
     /// and when it has slept in vain; then it also checks that the server lives.
     pub(crate) fn receive(
         &mut self,
@@ -417,13 +419,13 @@ impl DataPort {
     ) -> Result<Option<RawReply>, CallError> {
         let deadline = Instant::now() + patience;
         let (mut slice, mut late) = (SLICE, false);
-        self.vigil.begin(self.slept);
+        self.spin_wait.begin(self.slept);
         loop {
-            let count = self.bells.reply().count();
+            let count = self.replies.count();
             let left = deadline.saturating_duration_since(Instant::now());
             if count != pending.seen || late || left.is_zero() {
                 if let Some(reply) = self.look(&pending.request)? {
-                    self.vigil.end();
+                    self.spin_wait.end();
                     return Ok(Some(reply));
                 }
                 (pending.seen, late) = (count, false);
@@ -431,22 +433,21 @@ impl DataPort {
                     return Ok(None);
                 }
             }
-            if self.vigil.keep() {
+            if self.spin_wait.spin() {
                 continue;
             }
-            let (bell, limit) = (self.bells.reply(), left.min(slice));
-            match self.link.door.await_reply(self.seat, bell, pending.seen, limit) {
-                Woken::Rung => {}
-                Woken::Late => {
+            match self.replies.wait(pending.seen, left.min(slice)) {
+                WaitOutcome::Woken => {}
+                WaitOutcome::TimedOut => {
                     self.link.check_answers()?;
                     let what = "the reply to a step, reset or snapshot";
-                    let still = self.link.check_pulse(what, self.waiting);
+                    let still = self.link.check_heartbeat(what, self.waiting);
                     still.inspect_err(|_| self.waiting = Instant::now())?;
                     slice = (2 * slice).min(LONGEST_SLICE);
                     late = true;
                 }
                 // The caller may want to act on the signal.
-                Woken::Interrupted => return Ok(None),
+                WaitOutcome::Interrupted => return Ok(None),
             }
         }
     }
@@ -487,9 +488,12 @@ impl DataPort {
     }
 }
 
-fn ring(bell: &Notifier<Transport>) -> Result<(), CallError> {
-    // Fails where the bell's queue is full, and then the server wakes up anyway.
-    bell.notify_with_custom_event_id(EventId::new(0)).map(|_| ()).map_err(transport("bell"))
+fn notify(event: &Notifier<Transport>) -> Result<(), CallError> {
+    // Fails where the event's queue is full, and then the server wakes up anyway.
+    event
+        .notify_with_custom_event_id(EventId::new(0))
+        .map(|_| ())
+        .map_err(transport("control event"))
 }
 
 fn service_name(name: &str) -> ServiceName {

@@ -286,8 +286,8 @@ pub struct SessionInfo {
     pub session: u64,
     /// The run of the server.
     pub epoch: u64,
-    /// Its number at the server's [`door`](crate::door).
-    pub seat: u32,
+    /// Its number at the [doorbell](crate::notify::doorbell).
+    pub slot: u32,
     /// Number of environments.
     pub envs: u32,
     /// The task under the session's options.

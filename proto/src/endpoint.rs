@@ -35,8 +35,8 @@ use crate::error::{Code, Rejection};
 /// Where shared memory lives on Linux.
 const SHARED_MEMORY: &str = "/dev/shm";
 
-/// How the names of bells go on after the prefix.
-const BELLS: &str = "bells.";
+/// How the names of files go on after the prefix by which server and clients notify each other.
+const NOTIFY: &str = "notify.";
 
 /// The flavour of transport that both sides use; its ports may move between threads.
 pub type Transport = ipc_threadsafe::Service;
@@ -311,21 +311,21 @@ impl Endpoint {
         Ok(paths)
     }
 
-    /// The bells of a session of the run `epoch` of the server.
-    pub(crate) fn bells(&self, epoch: u64, session: u64) -> PathBuf {
-        let name = format!("{}{BELLS}{epoch:016x}.{session}", self.prefix);
+    /// The event count of the replies of a session, of the run `epoch` of the server.
+    pub(crate) fn reply_event(&self, epoch: u64, session: u64) -> PathBuf {
+        let name = format!("{}{NOTIFY}{epoch:016x}.{session}", self.prefix);
         Path::new(SHARED_MEMORY).join(name)
     }
 
-    /// The door of the run `epoch` of the server.
-    pub(crate) fn door(&self, epoch: u64) -> PathBuf {
-        let name = format!("{}{BELLS}{epoch:016x}.door", self.prefix);
+    /// The doorbell of the run `epoch` of the server.
+    pub(crate) fn doorbell(&self, epoch: u64) -> PathBuf {
+        let name = format!("{}{NOTIFY}{epoch:016x}.doorbell", self.prefix);
         Path::new(SHARED_MEMORY).join(name)
     }
 
-    /// The bells of all sessions that there are, and the doors.
-    pub(crate) fn all_bells(&self) -> io::Result<Vec<PathBuf>> {
-        let start = format!("{}{BELLS}", self.prefix);
+    /// The doorbells and event counts that there are.
+    pub(crate) fn notify_files(&self) -> io::Result<Vec<PathBuf>> {
+        let start = format!("{}{NOTIFY}", self.prefix);
         let mut paths = self.segments()?;
         paths.retain(|path| {
             path.file_name()

@@ -3,10 +3,7 @@
 //! | module | holds |
 //! |---|---|
 //! | [`endpoint`] | where a server is found: names, folders, transport configuration |
-//! | [`door`] | what tells the server that messages are there, and of which sessions; where either side sleeps |
-//! | [`bell`] | what tells a client that a reply is there |
-//! | [`sleep`] | threads that sleep until another thread wakes them up |
-//! | [`vigil`] | waiting for a message awake |
+//! | [`notify`] | how both sides tell each other that a message is there, and where they sleep until then |
 //! | [`cause`] | why an operation of the transport failed, in its own words |
 //! | [`missing_page`] | making shared memory while there is none |
 //! | [`open_files`] | how many files a process has open, and what clients and sessions take |
@@ -37,25 +34,21 @@
 //! assert_eq!(Reward::Sparse.of(&rule, &[0.0; 3], &[0.1, 0.0, 0.0]), -1.0);
 //! ```
 
-pub mod bell;
 pub mod cause;
 pub mod columns;
 pub mod control;
-pub mod door;
 pub mod endpoint;
 pub mod error;
 pub mod goal;
-mod mapping;
 pub mod missing_page;
+pub mod notify;
 pub mod open_files;
 pub mod placement;
 pub mod relative;
 pub mod seed;
-pub mod sleep;
 pub mod snapshot;
 pub mod spec;
 pub mod stage;
-pub mod vigil;
 pub mod wire;
 
 pub use error::{Code, Rejection};
@@ -64,4 +57,4 @@ pub use spec::{OptionValue, Options, TaskSpec};
 pub use stage::Stage;
 
 /// Version of everything in this crate; both sides must have the same.
-pub const PROTOCOL_VERSION: u32 = 9;
+pub const PROTOCOL_VERSION: u32 = 10;

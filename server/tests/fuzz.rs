@@ -11,7 +11,7 @@ use mutation::Mutator;
 use trocar_proto::Options;
 use trocar_proto::control::ControlReply;
 use trocar_proto::snapshot::{Recipe, fingerprint};
-use trocar_server::service::{Answer, Desk, Footprint, ServerConfig, Usage};
+use trocar_server::service::{Admission, Answer, Footprint, ServerConfig, Usage};
 use trocar_server::tasks::Registry;
 
 /// Messages after which whatever is allocated once has been.
@@ -28,7 +28,7 @@ fn hostile_control_messages_neither_panic_nor_take_memory() {
     let ids: Vec<&str> = ids.iter().map(String::as_str).collect();
     let mut mutator = Mutator::new(20_261_121, &ids);
     let config = ServerConfig::new("fuzz".parse().unwrap());
-    let desk = Desk::new(Arc::new(registry), &config, 1);
+    let admission = Admission::new(Arc::new(registry), &config, 1);
 
     let (mut refused, mut described, mut opened, mut warm) = (0, 0, 0, 0);
     for index in 0..count {
@@ -36,7 +36,7 @@ fn hostile_control_messages_neither_panic_nor_take_memory() {
         let judged = catch_unwind(AssertUnwindSafe(|| {
             let memory = Footprint { shared: index as u64 % (1 << 31), private: 0 };
             let usage = Usage { memory, sessions: index % 600, ..Usage::default() };
-            desk.judge(&message.header, &message.bytes, &usage)
+            admission.check(&message.header, &message.bytes, &usage)
         }));
         match judged {
             Ok(Answer::Reply(ControlReply::Refused(refusal))) => {

@@ -12,7 +12,7 @@ use trocar_server::env::recording::{self, Course, Replay as Replaying};
 use trocar_server::service::StopSignal;
 use trocar_server::tasks::Registry;
 use trocar_server::view::View;
-use trocar_server::view::reel::Reel;
+use trocar_server::view::replay_source::ReplaySource;
 
 use crate::output;
 use crate::render::image::Image;
@@ -132,7 +132,7 @@ impl Replay {
             eprintln!("wrote {}", path.display());
         }
         match self.view {
-            Some(address) => serve(address, Reel::new(registry, watched)?),
+            Some(address) => serve(address, ReplaySource::new(registry, watched)?),
             None => Ok(()),
         }
     }
@@ -192,8 +192,9 @@ fn short(file: &Path) -> String {
 }
 
 /// Serves the page that plays recordings until Ctrl-C.
-fn serve(address: SocketAddr, reel: Reel) -> anyhow::Result<()> {
-    let view = View::start(address, Arc::new(reel)).with_context(|| format!("--view {address}"))?;
+fn serve(address: SocketAddr, replays: ReplaySource) -> anyhow::Result<()> {
+    let view =
+        View::start(address, Arc::new(replays)).with_context(|| format!("--view {address}"))?;
     let stop = StopSignal::default();
     let on_signal = stop.clone();
     ctrlc::set_handler(move || on_signal.set())?;

@@ -7,10 +7,9 @@ use trocar_proto::control::{Autoreset, SessionRequest};
 use trocar_proto::{Code, Placement, Rejection, TaskSpec, seed};
 
 use super::drawing;
-use super::pile::Divisible;
+use super::observer::StepObserver;
 use super::rows::Rows;
-use super::scheduler::Turn;
-use super::witness::Witness;
+use super::scheduler::{Quantum, Splittable};
 use crate::env::{Env, Imaging, Rebuild};
 use crate::error::StepError;
 use crate::render::Scene;
@@ -33,7 +32,7 @@ pub(crate) struct Batch {
 
 /// What a request does with each of its environments.
 #[derive(Clone, Copy)]
-pub(crate) enum Deed<'a> {
+pub(crate) enum BatchCommand<'a> {
     /// Reset; to these seeds and their episodes (rows) where given, else to the next episode.
     Reset(Option<(&'a [u64], &'a [u64])>),
     /// Step with the actions (rows, action dim).
@@ -71,11 +70,6 @@ impl Batch {
         &self.spec
     }
 
-    /// The time that the next step is expected to take, if it is of as many environments as the latest.
-    pub(crate) fn cost(&self) -> Duration {
-        self.cost * self.rows as u32
-    }
-
     /// Takes note of the time that the latest message took, which says something about the next step if it was one.
     pub(crate) fn learn(&mut self, took: Duration) {
         if std::mem::take(&mut self.untimed) {
@@ -87,14 +81,14 @@ impl Batch {
     pub(crate) fn copies(
         &self,
         env_ids: &[u32],
-        turn: &mut Turn<'_>,
+        quantum: &mut Quantum<'_>,
     ) -> Result<Vec<Arc<Env>>, Rejection> {
         self.check_env_ids(env_ids)?;
         for id in env_ids {
             self.check_begun(*id)?;
         }
         let mut copies = vec![None; env_ids.len()];
-        turn.run(Copying { envs: &self.envs, env_ids, copies: &mut copies }, COPY);
+        quantum.run(Copying { envs: &self.envs, env_ids, copies: &mut copies }, COPY);
         Ok(copies.into_iter().flatten().collect())
     }
 
@@ -104,11 +98,11 @@ impl Batch {
         &self,
         env_ids: &[u32],
         placements: Vec<Arc<Placement>>,
-        turn: &mut Turn<'_>,
+        quantum: &mut Quantum<'_>,
     ) -> Result<Vec<Arc<Env>>, Rejection> {
-        let mut rows: Vec<_> = self.copies(env_ids, turn)?.into_iter().zip(placements).collect();
+        let mut rows: Vec<_> = self.copies(env_ids, quantum)?.into_iter().zip(placements).collect();
         let mut refusals = vec![None; rows.len()];
-        turn.run(Arranging { rows: &mut rows, refusals: &mut refusals }, ARRANGED);
+        quantum.run(Arranging { rows: &mut rows, refusals: &mut refusals }, ARRANGED);
         let refused =
             refusals.into_iter().zip(env_ids).find_map(|(refusal, id)| Some((refusal?, id)));
         match refused {
@@ -124,7 +118,7 @@ impl Batch {
     pub(crate) fn sources(
         &self,
         numbers: &[u64],
-        turn: &mut Turn<'_>,
+        quantum: &mut Quantum<'_>,
     ) -> Result<Vec<Arc<Env>>, Rejection> {
         if let Some(number) = numbers.iter().find(|number| **number >= self.envs.len() as u64) {
             let allowed = format!("allowed are numbers below {}", self.envs.len());
@@ -133,7 +127,7 @@ impl Batch {
         let mut ids: Vec<u32> = numbers.iter().map(|number| *number as u32).collect();
         ids.sort_unstable();
         ids.dedup();
-        let copies = self.copies(&ids, turn)?;
+        let copies = self.copies(&ids, quantum)?;
         let source = |number: &u64| {
             let at = ids.binary_search(&(*number as u32)).expect("its number was copied");
             Arc::clone(&copies[at])
@@ -148,7 +142,7 @@ impl Batch {
         view: &Imaging,
         rgb: &mut [u8],
         depth: &mut [f32],
-        turn: &mut Turn<'_>,
+        quantum: &mut Quantum<'_>,
     ) -> Result<(), Rejection> {
         self.check_env_ids(env_ids)?;
         let [id] = env_ids else {
@@ -157,7 +151,7 @@ impl Batch {
         };
         self.check_begun(*id)?;
         let env = &self.envs[*id as usize];
-        turn.run(drawing::One { env: Some(env), view, rgb, depth }, PICTURE);
+        quantum.run(drawing::One { env: Some(env), view, rgb, depth }, PICTURE);
         Ok(())
     }
 
@@ -181,26 +175,26 @@ impl Batch {
         &self.envs[number as usize]
     }
 
-    /// Carries out `deed` for the environments `env_ids` and writes their rows. Either all of it
+    /// Carries out `command` for the environments `env_ids` and writes their rows. Either all of it
     /// is carried out, or none and the refusal says why.
     pub(crate) fn apply(
         &mut self,
-        deed: Deed<'_>,
+        command: BatchCommand<'_>,
         env_ids: &[u32],
         want_expert: bool,
-        witness: Witness<'_>,
+        observer: StepObserver<'_>,
         mut rows: Rows<'_>,
-        turn: &mut Turn<'_>,
+        quantum: &mut Quantum<'_>,
     ) -> Result<(), Rejection> {
         self.check_env_ids(env_ids)?;
-        if let Deed::Step(actions) = deed {
+        if let BatchCommand::Step(actions) = command {
             self.check_actions(actions, env_ids)?;
             self.check_reset(env_ids)?;
         }
         let cost = self.cost;
         self.rows = env_ids.len();
         // States may have to be rebuilt before they are restored.
-        self.untimed = !matches!(deed, Deed::Restore(_));
+        self.untimed = !matches!(command, BatchCommand::Restore(_));
         // Pictures are drawn once all environments were stepped: a renderer may draw many at once.
         let [pictures, final_pictures] = rows.take_pictures();
         let has_pictures = self.envs[0].imaging().is_some();
@@ -211,20 +205,20 @@ impl Batch {
             first: 0,
             envs: &mut self.envs,
             took: &mut self.took,
-            long: (cost > WORTH_TIMING && turn.is_parallel()).then_some(cost * LONG),
+            long: (cost > WORTH_TIMING && quantum.is_parallel()).then_some(cost * LONG),
             env_ids,
-            deed,
+            command,
             action_dim: self.spec.action_dim(),
             autoreset: self.autoreset,
             want_expert,
-            witness,
+            observer,
             rows,
         };
-        turn.run(work, cost);
+        quantum.run(work, cost);
         if let Some(imaging) = self.envs[0].imaging() {
             let (envs, finals) = (&self.envs, finals.as_mut_slice());
             let drawing = drawing::All { envs, env_ids, imaging, finals, pictures, final_pictures };
-            turn.run(drawing, cost);
+            quantum.run(drawing, cost);
         }
         Ok(())
     }
@@ -279,17 +273,17 @@ struct Work<'a> {
     /// More than that is long, where that is of interest.
     long: Option<Duration>,
     env_ids: &'a [u32],
-    deed: Deed<'a>,
+    command: BatchCommand<'a>,
     action_dim: usize,
     autoreset: Autoreset,
     want_expert: bool,
-    witness: Witness<'a>,
+    observer: StepObserver<'a>,
     rows: Rows<'a>,
     /// What there is to see at the ends of episodes that the same step replaced, where there are pictures.
     finals: &'a mut [Option<Scene>],
 }
 
-impl Divisible for Work<'_> {
+impl Splittable for Work<'_> {
     fn len(&self) -> usize {
         self.env_ids.len()
     }
@@ -300,44 +294,51 @@ impl Divisible for Work<'_> {
         let border = later_ids.first().map_or(self.envs.len(), |id| (id - self.first) as usize);
         let (envs, later_envs) = self.envs.split_at_mut(border);
         let (took, later_took) = self.took.split_at_mut(border);
-        let (deed, later_deed) = match self.deed {
-            Deed::Reset(None) => (Deed::Reset(None), Deed::Reset(None)),
-            Deed::Reset(Some((seeds, episodes))) => {
+        let (command, later_command) = match self.command {
+            BatchCommand::Reset(None) => (BatchCommand::Reset(None), BatchCommand::Reset(None)),
+            BatchCommand::Reset(Some((seeds, episodes))) => {
                 let (seeds, later_seeds) = seeds.split_at(at);
                 let (episodes, later_episodes) = episodes.split_at(at);
                 let later = (later_seeds, later_episodes);
-                (Deed::Reset(Some((seeds, episodes))), Deed::Reset(Some(later)))
+                (BatchCommand::Reset(Some((seeds, episodes))), BatchCommand::Reset(Some(later)))
             }
-            Deed::Step(actions) => {
+            BatchCommand::Step(actions) => {
                 let (actions, later) = actions.split_at(at * self.action_dim);
-                (Deed::Step(actions), Deed::Step(later))
+                (BatchCommand::Step(actions), BatchCommand::Step(later))
             }
-            Deed::Restore(states) => {
+            BatchCommand::Restore(states) => {
                 let (states, later) = states.split_at(at);
-                (Deed::Restore(states), Deed::Restore(later))
+                (BatchCommand::Restore(states), BatchCommand::Restore(later))
             }
         };
         let (rows, later_rows) = self.rows.split_at(at);
         let at = at.min(self.finals.len());
         let (finals, later_finals) = self.finals.split_at_mut(at);
-        let part = |first, envs, took, env_ids, deed, rows, finals| Self {
+        let part = |first, envs, took, env_ids, command, rows, finals| Self {
             finals,
             first,
             envs,
             took,
             long: self.long,
             env_ids,
-            deed,
+            command,
             action_dim: self.action_dim,
             autoreset: self.autoreset,
             want_expert: self.want_expert,
-            witness: self.witness,
+            observer: self.observer,
             rows,
         };
-        let now = part(self.first, envs, took, ids, deed, rows, finals);
+        let now = part(self.first, envs, took, ids, command, rows, finals);
         let border = self.first + border as u32;
-        let later =
-            part(border, later_envs, later_took, later_ids, later_deed, later_rows, later_finals);
+        let later = part(
+            border,
+            later_envs,
+            later_took,
+            later_ids,
+            later_command,
+            later_rows,
+            later_finals,
+        );
         (now, later)
     }
 
@@ -351,9 +352,9 @@ impl Divisible for Work<'_> {
         for (row, id) in self.env_ids.iter().enumerate() {
             let start = self.long.map(|_| Instant::now());
             let env = &mut self.envs[(id - self.first) as usize];
-            match self.deed {
-                Deed::Reset(to) => {
-                    self.witness.before_leaving(*id, env);
+            match self.command {
+                BatchCommand::Reset(to) => {
+                    self.observer.before_leaving(*id, env);
                     match to {
                         Some((seeds, episodes)) => env.reset_to(seeds[row], episodes[row]),
                         None => env.reset(None),
@@ -361,14 +362,14 @@ impl Divisible for Work<'_> {
                     write_transition(&mut self.rows, row, 0.0, false, false, false, 0);
                     show(env, &mut self.rows, row);
                 }
-                Deed::Step(actions) => {
+                BatchCommand::Step(actions) => {
                     let action = &actions[row * self.action_dim..(row + 1) * self.action_dim];
                     let last = self.finals.get_mut(row);
-                    let witness = (*id, self.witness);
-                    step(env, action, self.autoreset, witness, &mut self.rows, row, last);
+                    let observer = (*id, self.observer);
+                    step(env, action, self.autoreset, observer, &mut self.rows, row, last);
                 }
-                Deed::Restore(states) => {
-                    self.witness.before_leaving(*id, env);
+                BatchCommand::Restore(states) => {
+                    self.observer.before_leaving(*id, env);
                     env.clone_from(&states[row]);
                     write_transition(&mut self.rows, row, 0.0, false, false, false, 0);
                     show(env, &mut self.rows, row);
@@ -407,7 +408,7 @@ struct Copying<'a> {
     copies: &'a mut [Option<Arc<Env>>],
 }
 
-impl Divisible for Copying<'_> {
+impl Splittable for Copying<'_> {
     fn len(&self) -> usize {
         self.env_ids.len()
     }
@@ -432,7 +433,7 @@ struct Arranging<'a> {
     refusals: &'a mut [Option<Rejection>],
 }
 
-impl Divisible for Arranging<'_> {
+impl Splittable for Arranging<'_> {
     fn len(&self) -> usize {
         self.rows.len()
     }
@@ -454,7 +455,7 @@ impl Divisible for Arranging<'_> {
 /// still worth it; `None` where it was not.
 pub(crate) fn rebuild(
     mut rebuilds: Vec<Rebuild>,
-    turn: &mut Turn<'_>,
+    quantum: &mut Quantum<'_>,
     go_on: impl Fn() -> bool,
 ) -> Option<Vec<Result<Env, Rejection>>> {
     // All of them by one step at a time, so that they share the threads, also with other sessions.
@@ -462,7 +463,7 @@ pub(crate) fn rebuild(
         if !go_on() {
             return None;
         }
-        turn.run(Rebuilding(&mut rebuilds), REBUILT);
+        quantum.run(Rebuilding(&mut rebuilds), REBUILT);
     }
     Some(rebuilds.into_iter().map(Rebuild::finish).collect())
 }
@@ -470,7 +471,7 @@ pub(crate) fn rebuild(
 /// A step of each environment that is being rebuilt.
 struct Rebuilding<'a>(&'a mut [Rebuild]);
 
-impl Divisible for Rebuilding<'_> {
+impl Splittable for Rebuilding<'_> {
     fn len(&self) -> usize {
         self.0.len()
     }
@@ -491,7 +492,7 @@ fn step(
     env: &mut Env,
     action: &[f32],
     autoreset: Autoreset,
-    (id, witness): (u32, Witness<'_>),
+    (id, observer): (u32, StepObserver<'_>),
     rows: &mut Rows<'_>,
     row: usize,
     last: Option<&mut Option<Scene>>,
@@ -503,7 +504,7 @@ fn step(
     }
     let (achieved, desired) = (rows.achieved_goal.row(row), rows.desired_goal.row(row));
     let result = env.step_into(action, rows.observation.row(row), achieved, desired);
-    witness.after_step(id, env, result.is_err());
+    observer.after_step(id, env, result.is_err());
     match result {
         Ok(step) => {
             write_transition(
@@ -578,8 +579,9 @@ fn write_state(env: &Env, want_expert: bool, rows: &mut Rows<'_>, row: usize) {
 mod tests {
     use trocar_proto::wire::ReplyLayout;
 
-    use super::super::hall::tests::House;
-    use super::super::witness::Tape;
+    use super::super::observer::LiveRecording;
+    use super::super::scheduler::tests::TestScheduler;
+    use super::super::scheduler::{Entity, ThreadQuota};
     use super::*;
 
     #[test]
@@ -588,27 +590,26 @@ mod tests {
         let mut batch = Batch::new(&Registry::builtin(), &request).unwrap();
         let layout = ReplyLayout::new(2, batch.spec());
         let mut reply = vec![0_u64; layout.bytes / 8];
-        let house = House::new("learns", 1);
-        let mut apply = |batch: &mut Batch, deed: Deed<'_>, env_ids: &[u32], took| {
+        let test = TestScheduler::new("learns", 1);
+        let mut apply = |batch: &mut Batch, command: BatchCommand<'_>, env_ids: &[u32], took| {
             let rows = Rows::of(&layout, bytemuck::cast_slice_mut(&mut reply), env_ids.len());
-            let witness = Witness { failures: None, tape: &Tape::default() };
-            let user = house.scheduler.user();
-            let done = house
-                .scheduler
-                .alone(&user, |turn| batch.apply(deed, env_ids, false, witness, rows, turn));
+            let observer = StepObserver { failures: None, recording: &LiveRecording::default() };
+            let entity = Entity::new(&ThreadQuota::new(1));
+            let done = test.compute(&entity, |quantum| {
+                batch.apply(command, env_ids, false, observer, rows, quantum)
+            });
             batch.learn(took);
-            done.map(|()| batch.cost())
+            done.map(|()| batch.cost)
         };
         let [none, some] = [Duration::ZERO, Duration::from_micros(80)];
         // 100 µs each at first, which every message halves, and half of what it took.
-        let cost = apply(&mut batch, Deed::Reset(None), &[0, 1], none).unwrap();
-        assert_eq!(cost, Duration::from_micros(100));
-        // Of fewer environments, less is expected.
-        let cost = apply(&mut batch, Deed::Step(&[0.0; 3]), &[1], some).unwrap();
+        let cost = apply(&mut batch, BatchCommand::Reset(None), &[0, 1], none).unwrap();
+        assert_eq!(cost, Duration::from_micros(50));
+        let cost = apply(&mut batch, BatchCommand::Step(&[0.0; 3]), &[1], some).unwrap();
         assert_eq!(cost, Duration::from_micros(65));
-        assert!(apply(&mut batch, Deed::Step(&[f32::NAN; 3]), &[1], none).is_err());
-        assert_eq!(batch.cost(), cost);
+        assert!(apply(&mut batch, BatchCommand::Step(&[f32::NAN; 3]), &[1], none).is_err());
+        assert_eq!(batch.cost, cost);
         let state = Arc::new(batch.env(0).clone());
-        assert_eq!(apply(&mut batch, Deed::Restore(&[state]), &[1], some), Ok(cost));
+        assert_eq!(apply(&mut batch, BatchCommand::Restore(&[state]), &[1], some), Ok(cost));
     }
 }

@@ -12,26 +12,25 @@ use iceoryx2::port::listener::ListenerWaitError;
 use trocar_proto::control::{
     self, ClientInfo, ControlReply, ControlRequest, ServerStatus, SessionRequest,
 };
-use trocar_proto::door::Door;
 use trocar_proto::endpoint::{Endpoint, LEAST_WAIT, MAX_CLIENTS, Node, ServerLock};
 use trocar_proto::missing_page::guarded;
+use trocar_proto::notify::doorbell::Doorbell;
 use trocar_proto::open_files::OpenFiles;
 use trocar_proto::wire::Header;
 use trocar_proto::{Code, Rejection};
 
-use super::desk::{Answer, Desk, Footprint, Holding, Quota, Usage};
+use super::admission::{Admission, Answer, Footprint, Holding, Quota, Usage};
 use super::exporter::Exporter;
-use super::gallery::Gallery;
-use super::hall::{Hall, Seat};
 use super::handle::SessionHandle;
 use super::heap;
-use super::lease::{self, Census, Watch};
+use super::liveness::{self, Lifetime, LiveNodes};
 use super::meter::Meter;
+use super::observer::Failures;
 use super::ports::{self, ControlPorts, Request};
-use super::scheduler::Scheduler;
-use super::session::{self, Account};
+use super::scheduler::{SCAN_PERIOD, Scheduler, SlotReservation, ThreadQuota};
+use super::session::{self, ClientQuota};
 use super::store::Ledger;
-use super::witness::Failures;
+use super::watch::WatchRegistry;
 use super::{ServeError, ServerConfig, StopSignal, internal};
 use crate::clock::thread_time;
 use crate::tasks::Registry;
@@ -51,31 +50,30 @@ pub(super) fn run(
     let epoch = lock.epoch();
     let ports =
         guarded(|| ControlPorts::open(node, epoch)).map_err(internal("shared memory"))??;
-    let door = Door::make(&endpoint, epoch).map_err(internal("door"))?;
+    let doorbell = Doorbell::make(&endpoint, epoch).map_err(internal("doorbell"))?;
     endpoint.allocate("a server").map_err(internal("shared memory"))?;
-    let hall =
-        Hall::open(config.threads, door).map_err(|error| ServeError::Threads(error.to_string()))?;
-    let scheduler = Scheduler::new(hall);
-    let meter = Arc::new(Meter::new(scheduler.clone(), config.threads, config.memory_bytes));
+    let scheduler = Scheduler::new(config.threads, doorbell)
+        .map_err(|error| ServeError::Threads(error.to_string()))?;
+    let meter = Meter::new(Arc::clone(&scheduler), config.threads, config.memory_bytes);
+    let meter = Arc::new(meter);
     let exporter = config.metrics.map(|address| {
         Exporter::start(address, Arc::clone(&meter))
             .map_err(|source| ServeError::Metrics { address, source })
     });
     let exporter = exporter.transpose()?;
-    let desk = Desk::new(Arc::clone(&registry), config, epoch);
-    let gallery = Arc::new(Gallery::new(about(&desk)));
+    let admission = Admission::new(Arc::clone(&registry), config, epoch);
+    let watch = Arc::new(WatchRegistry::new(about(&admission)));
     let view = config.view.map(|address| {
-        View::start(address, Arc::clone(&gallery) as _)
+        View::start(address, Arc::clone(&watch) as _)
             .map_err(|source| ServeError::View { address, source })
     });
     let view = view.transpose()?;
-    let mut host = Host {
-        desk,
+    let mut hosted = SessionRegistry {
+        admission,
         ledger: Arc::new(Ledger::new(config.memory_bytes)),
-        scheduler,
         quota: config.client,
-        accounts: BTreeMap::new(),
-        ground: Arc::new(session::Ground {
+        quotas: BTreeMap::new(),
+        context: Arc::new(session::ServerContext {
             registry,
             meter,
             node: Arc::clone(node),
@@ -83,7 +81,8 @@ pub(super) fn run(
             epoch,
             idle_limit: config.idle_limit,
             failures: config.failures.clone().map(Failures::new),
-            gallery,
+            watch,
+            scheduler,
         }),
         sessions: BTreeMap::new(),
         ending: Vec::new(),
@@ -94,58 +93,61 @@ pub(super) fn run(
         started: Instant::now(),
         stop: stop.clone(),
     };
-    let mut watch = Watch::new(config);
-    let (mut looked, mut pause) = (Instant::now(), lease::INTERVAL);
+    let mut lifetime = Lifetime::new(config);
+    let (mut looked, mut pause) = (Instant::now(), liveness::INTERVAL);
+    let mut scanned = Instant::now();
     ready();
     let metrics = exporter.as_ref().map(|exporter| tracing::field::display(exporter.address));
-    let seen = host.view.as_ref().map(|view| tracing::field::display(view.address()));
+    let seen = hosted.view.as_ref().map(|view| tracing::field::display(view.address()));
     let (name, pid, threads) = (&config.name, std::process::id(), config.threads);
     tracing::info!(%name, pid, threads, metrics, view = seen, "serving");
     while !stop.is_set() {
-        host.scheduler.hall().door.beat();
-        host.answer_waiting(&ports);
+        hosted.context.scheduler.doorbell.beat();
+        hosted.answer_waiting(&ports);
+        if scanned.elapsed() >= SCAN_PERIOD {
+            scanned = Instant::now();
+            hosted.context.scheduler.scan();
+        }
         if looked.elapsed() >= pause {
             let computed = thread_time();
             looked = Instant::now();
-            host.sweep(&mut watch);
-            pause = lease::pause(thread_time().saturating_sub(computed));
+            hosted.sweep(&mut lifetime);
+            pause = liveness::pause(thread_time().saturating_sub(computed));
         }
-        let patience = pause.saturating_sub(looked.elapsed());
-        match ports.bell.timed_wait(|_| {}, patience.max(LEAST_WAIT)) {
+        let patience = pause.saturating_sub(looked.elapsed()).min(SCAN_PERIOD);
+        match ports.event.timed_wait(|_| {}, patience.max(LEAST_WAIT)) {
             Ok(_) | Err(ListenerWaitError::InterruptSignal) => {}
             Err(error) => {
-                tracing::warn!(?error, "the control bell failed");
+                tracing::warn!(?error, "the control event failed");
                 std::thread::sleep(Duration::from_millis(1));
             }
         }
     }
-    tracing::info!(sessions = host.sessions.len(), "shutting down");
+    tracing::info!(sessions = hosted.sessions.len(), "shutting down");
     if let Err(error) = lock.announce_end() {
         tracing::warn!(%error, "clients will take this for a crash");
     }
-    host.drain(&ports, config.drain_limit);
+    hosted.drain(&ports, config.drain_limit);
     Ok(())
 }
 
 /// The server, as its viewer names it.
-fn about(desk: &Desk) -> About {
-    let info = desk.info();
+fn about(admission: &Admission) -> About {
+    let info = admission.info();
     let version = env!("CARGO_PKG_VERSION");
     About { name: info.name.clone(), pid: info.pid, version, recording: false }
 }
 
 /// The sessions, and what is needed to open more.
-struct Host {
-    desk: Desk,
-    ground: Arc<session::Ground>,
+struct SessionRegistry {
+    admission: Admission,
+    context: Arc<session::ServerContext>,
     /// The memory that all may take.
     ledger: Arc<Ledger>,
-    /// The threads that step environments.
-    scheduler: Scheduler,
     /// What one client may have of these.
     quota: Quota,
     /// What the clients that have sessions have of these, by process id.
-    accounts: BTreeMap<u32, Account>,
+    quotas: BTreeMap<u32, ClientQuota>,
     sessions: BTreeMap<u64, SessionHandle>,
     /// Sessions that were closed and are not gone yet, or not known to be.
     ending: Vec<SessionHandle>,
@@ -160,7 +162,7 @@ struct Host {
     stop: StopSignal,
 }
 
-impl Host {
+impl SessionRegistry {
     /// Answers every client that waits once before any client is answered twice.
     fn answer_waiting(&mut self, ports: &ControlPorts) {
         let waiting: Vec<Request> =
@@ -171,24 +173,24 @@ impl Host {
     }
 
     fn answer(&mut self, request: Request) {
-        // The client could still write to what it sent: judge a copy.
+        // The client could still write to what it sent: check a copy.
         let header = *request.user_header();
         let payload = request.payload().to_vec();
-        let result = match self.judge(&header, &payload) {
+        let result = match self.check(&header, &payload) {
             Answer::Reply(reply) => reply,
             Answer::Open { .. } if self.stop.is_set() => ControlReply::Refused(Rejection::new(
                 Code::ShuttingDown,
                 "server",
-                &self.desk.info().name,
+                &self.admission.info().name,
                 "it is ending; open the session in its successor",
             )),
             Answer::Open { request: wanted, client, footprint } => {
-                if let Some(seat) = self.scheduler.hall().keep_seat() {
-                    self.open(seat, wanted, client, footprint, request);
+                if let Some(slot) = self.context.scheduler.reserve() {
+                    self.open(slot, wanted, client, footprint, request);
                     // It is answered once everything is in place.
                     return;
                 }
-                let why = "every seat is taken; close a session";
+                let why = "every slot is taken; close a session";
                 let open = self.sessions.len();
                 ControlReply::Refused(Rejection::new(Code::TooManySessions, "session", open, why))
             }
@@ -235,9 +237,9 @@ impl Host {
         if let ControlReply::Refused(refusal) = &result {
             match control::decode(payload.get(..header.length as usize).unwrap_or_default()) {
                 Ok(ControlRequest::OpenSession { client, .. }) => {
-                    session::note_refusal(&self.ground.meter, client.pid, refusal);
+                    session::note_refusal(&self.context.meter, client.pid, refusal);
                 }
-                _ => self.ground.meter.refused(refusal.code),
+                _ => self.context.meter.refused(refusal.code),
             }
         }
         ports::reply(&request, &result);
@@ -246,24 +248,24 @@ impl Host {
     /// Begins to open a session, which then replies.
     fn open(
         &mut self,
-        seat: Seat,
+        slot: SlotReservation,
         wanted: SessionRequest,
         client: ClientInfo,
         footprint: Footprint,
         request: Request,
     ) {
         self.opened += 1;
-        let place = (self.opened, seat);
-        let (ground, account) = (Arc::clone(&self.ground), self.account(&client));
-        let handle = session::open(ground, account, place, wanted, client, footprint, request);
+        let place = (self.opened, slot);
+        let (context, quota) = (Arc::clone(&self.context), self.quota(&client));
+        let handle = session::open(context, quota, place, wanted, client, footprint, request);
         if let Some(handle) = handle {
             self.sessions.insert(self.opened, handle);
             self.take_stock();
         }
     }
 
-    fn judge(&mut self, header: &Header, payload: &[u8]) -> Answer {
-        let answer = self.desk.judge(header, payload, &self.usage(header.kind));
+    fn check(&mut self, header: &Header, payload: &[u8]) -> Answer {
+        let answer = self.admission.check(header, payload, &self.usage(header.kind));
         match &answer {
             // Sessions that are ending hold on to what they had for up to a tenth of a second.
             Answer::Reply(ControlReply::Refused(refusal))
@@ -271,7 +273,7 @@ impl Host {
                     && !self.ending.is_empty() =>
             {
                 self.ending.drain(..).for_each(SessionHandle::join);
-                self.desk.judge(header, payload, &self.usage(header.kind))
+                self.admission.check(header, payload, &self.usage(header.kind))
             }
             _ => answer,
         }
@@ -281,7 +283,7 @@ impl Host {
         match self.sessions.entry(session) {
             Entry::Occupied(entry) if entry.get().client().node == node => {
                 let handle = entry.remove();
-                handle.stop(self.scheduler.hall(), "closed");
+                handle.stop(&self.context.scheduler, "closed");
                 self.ending.push(handle);
                 self.take_stock();
                 ControlReply::Done
@@ -306,14 +308,14 @@ impl Host {
     }
 
     /// Closes the sessions of dead clients and removes what they left.
-    fn sweep(&mut self, watch: &mut Watch) {
-        let Some(census) = Census::take(&self.ground.node) else { return };
-        let hall = self.scheduler.hall();
+    fn sweep(&mut self, lifetime: &mut Lifetime) {
+        let Some(live) = LiveNodes::take(&self.context.node) else { return };
+        let scheduler = &self.context.scheduler;
         let over = self.sessions.extract_if(.., |id, handle| {
-            let alive = census.has(handle.client().node);
+            let alive = live.has(handle.client().node);
             if !alive {
                 tracing::info!(session = id, pid = handle.client().pid, "client is gone");
-                handle.stop(hall, "reclaimed");
+                handle.stop(scheduler, "reclaimed");
             }
             !alive || handle.has_ended()
         });
@@ -326,11 +328,11 @@ impl Host {
         }
         self.take_stock();
         // From one look to the next, sessions remove their part; that is faster.
-        let due = std::mem::replace(&mut self.deaths, census.deaths) && census.deaths;
+        let due = std::mem::replace(&mut self.deaths, live.deaths) && live.deaths;
         if due && self.clearance.as_ref().is_none_or(JoinHandle::is_finished) {
-            self.clearance = clear(Arc::clone(&self.ground.node)).ok();
+            self.clearance = clear(Arc::clone(&self.context.node)).ok();
         }
-        if let Some(why) = watch.verdict(census.clients()) {
+        if let Some(why) = lifetime.verdict(live.clients()) {
             tracing::info!(why, "the server ends");
             if !self.stop.is_set() {
                 self.stop.set();
@@ -342,22 +344,22 @@ impl Host {
     /// answers control messages meanwhile. Sessions that take longer are left behind.
     fn drain(mut self, ports: &ControlPorts, limit: Duration) {
         let start = Instant::now();
-        let hall = Arc::clone(self.scheduler.hall());
-        self.sessions.values().for_each(|session| session.finish(&hall));
+        let scheduler = Arc::clone(&self.context.scheduler);
+        self.sessions.values().for_each(|session| session.finish(&scheduler));
         while !self.sessions.values().chain(&self.ending).all(SessionHandle::has_ended) {
             if self.stop.is_urgent() || start.elapsed() > limit {
                 break;
             }
-            hall.door.beat();
+            scheduler.doorbell.beat();
             self.answer_waiting(ports);
-            ports.bell.timed_wait(|_| {}, Duration::from_millis(2)).ok();
+            ports.event.timed_wait(|_| {}, Duration::from_millis(2)).ok();
         }
         for handle in self.sessions.into_values().chain(self.ending) {
             if handle.has_ended() {
                 handle.join();
             } else {
                 tracing::warn!(session = handle.id(), "left behind: it has not answered yet");
-                handle.stop(&hall, "shutdown");
+                handle.stop(&scheduler, "shutdown");
             }
         }
         if let Some(clearance) = self.clearance {
@@ -385,7 +387,7 @@ impl Host {
         }
         for (pid, holding) in &mut clients {
             holding.memory_bytes +=
-                self.accounts.get(pid).map_or(0, |account| account.ledger.snapshots());
+                self.quotas.get(pid).map_or(0, |quota| quota.ledger.snapshots());
         }
         let files = match kind {
             ControlRequest::OPEN_SESSION => self.open_files(),
@@ -402,13 +404,13 @@ impl Host {
         OpenFiles { used: used + due, limit }
     }
 
-    /// The account of a client, new where it has no session.
-    fn account(&mut self, client: &ClientInfo) -> Account {
-        let new = || Account {
+    /// The quota of a client, new where it has no session.
+    fn quota(&mut self, client: &ClientInfo) -> ClientQuota {
+        let new = || ClientQuota {
             ledger: Arc::new(self.ledger.of_client(self.quota.memory_bytes)),
-            scheduler: self.scheduler.limited(self.quota.threads),
+            threads: ThreadQuota::new(self.quota.threads),
         };
-        self.accounts.entry(client.pid).or_insert_with(new).clone()
+        self.quotas.entry(client.pid).or_insert_with(new).clone()
     }
 
     /// Lets sessions know how much is left for their snapshots, and Prometheus what there is. A
@@ -420,11 +422,11 @@ impl Host {
         for session in self.sessions.values() {
             *held.entry(session.client().pid).or_default() += session.footprint().total();
         }
-        self.accounts.retain(|pid, _| held.contains_key(pid));
-        for (pid, account) in &self.accounts {
-            account.ledger.set_sessions(held[pid]);
+        self.quotas.retain(|pid, _| held.contains_key(pid));
+        for (pid, quota) in &self.quotas {
+            quota.ledger.set_sessions(held[pid]);
         }
-        let meter = &self.ground.meter;
+        let meter = &self.context.meter;
         meter.clients.set(held.len() as i64);
         meter.sessions.set(self.sessions.len() as i64);
         meter.envs.set(self.sessions.values().map(|session| i64::from(session.envs())).sum());
@@ -437,14 +439,14 @@ impl Host {
             return Ok(view.address());
         }
         let address = (Ipv4Addr::LOCALHOST, 0).into();
-        let view = View::start(address, Arc::clone(&self.ground.gallery) as _);
+        let view = View::start(address, Arc::clone(&self.context.watch) as _);
         let view = view.map_err(internal("viewer"))?;
         tracing::info!(view = %view.address(), "the viewer was asked for");
         Ok(self.view.insert(view).address())
     }
 
     fn status(&self) -> ServerStatus {
-        let info = self.desk.info();
+        let info = self.admission.info();
         ServerStatus {
             name: info.name.clone(),
             pid: info.pid,

@@ -1,7 +1,7 @@
 //! How environments of a session are drawn: one on demand, or those of a message once all were stepped.
 
-use super::pile::Divisible;
 use super::rows::Pictures;
+use super::scheduler::Splittable;
 use crate::env::{Env, Imaging, Shot};
 use crate::render::Scene;
 
@@ -13,7 +13,7 @@ pub(super) struct One<'a> {
     pub(super) depth: &'a mut [f32],
 }
 
-impl Divisible for One<'_> {
+impl Splittable for One<'_> {
     fn len(&self) -> usize {
         usize::from(self.env.is_some())
     }
@@ -45,7 +45,7 @@ pub(super) struct All<'a> {
     pub(super) final_pictures: Pictures<'a>,
 }
 
-impl Divisible for All<'_> {
+impl Splittable for All<'_> {
     fn len(&self) -> usize {
         self.env_ids.len()
     }

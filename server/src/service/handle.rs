@@ -11,11 +11,11 @@ use trocar_proto::control::{ClientInfo, SessionStatus};
 use trocar_proto::snapshot::MAX_PART;
 use trocar_proto::{Code, Placement, Rejection};
 
-use super::desk::Footprint;
-use super::gallery::Slot;
-use super::hall::Hall;
+use super::admission::Footprint;
+use super::observer::LiveRecording;
+use super::scheduler::{Scheduler, SlotId};
 use super::store::Store;
-use super::witness::Tape;
+use super::watch::Subscriptions;
 use crate::view::source::{SessionCard, Tally};
 
 /// A session as the control loop sees it.
@@ -29,8 +29,8 @@ pub(super) struct SessionHandle {
 /// What a session shares with the threads that ask about it.
 pub(super) struct Shared {
     pub(super) id: u64,
-    /// Where it is called.
-    pub(super) seat: u32,
+    /// Its number at the doorbell.
+    pub(super) slot: SlotId,
     pub(super) client: ClientInfo,
     pub(super) task: String,
     pub(super) envs: u32,
@@ -42,10 +42,10 @@ pub(super) struct Shared {
     pub(super) pace: Mutex<Pace>,
     /// `None` until the session is open.
     pub(super) store: Mutex<Option<Store>>,
-    pub(super) tape: Tape,
+    pub(super) recording: LiveRecording,
     /// What the task is like; nothing until the session is open.
     pub(super) nature: OnceLock<Nature>,
-    pub(super) slot: Slot,
+    pub(super) subscriptions: Subscriptions,
     /// Open files that it has still to take.
     pub(super) files_due: AtomicUsize,
 }
@@ -65,8 +65,8 @@ impl Shared {
     }
 
     /// Where it is watched.
-    pub(super) fn slot(&self) -> &Slot {
-        &self.slot
+    pub(super) fn subscriptions(&self) -> &Subscriptions {
+        &self.subscriptions
     }
 
     /// The session in the viewer's list.
@@ -160,13 +160,13 @@ impl SessionHandle {
             let allowed = format!("allowed are numbers below {}", self.shared.envs);
             return Err(Rejection::new(Code::InvalidEnvIds, "env", env, allowed));
         }
-        self.shared.tape.start(env, every);
+        self.shared.recording.start(env, every);
         Ok(())
     }
 
     /// What was recorded since the last time, and how many states were lost.
     pub(super) fn recorded(&self) -> Result<(Vec<u8>, u64), Rejection> {
-        self.shared.tape.fetch(MAX_PART)
+        self.shared.recording.fetch(MAX_PART)
     }
 
     pub(super) fn id(&self) -> u64 {
@@ -178,17 +178,17 @@ impl SessionHandle {
     }
 
     /// Asks the session to end.
-    pub(super) fn stop(&self, hall: &Arc<Hall>, reason: &'static str) {
+    pub(super) fn stop(&self, scheduler: &Arc<Scheduler>, reason: &'static str) {
         self.shared.reason.set(reason).ok();
         self.shared.stop.store(true, Ordering::Release);
-        hall.call(self.shared.seat);
+        scheduler.schedule(self.shared.slot);
     }
 
     /// Asks the session to end once it has answered what it was asked.
-    pub(super) fn finish(&self, hall: &Arc<Hall>) {
+    pub(super) fn finish(&self, scheduler: &Arc<Scheduler>) {
         self.shared.reason.set("shutdown").ok();
         self.shared.finish.store(true, Ordering::Release);
-        hall.call(self.shared.seat);
+        scheduler.schedule(self.shared.slot);
     }
 
     pub(super) fn has_ended(&self) -> bool {

@@ -2,6 +2,7 @@
 //! costs a few atomic additions.
 
 use std::fs;
+use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
@@ -38,7 +39,7 @@ struct Reason {
 #[derive(Debug)]
 pub(super) struct Meter {
     registry: Registry,
-    scheduler: Scheduler,
+    scheduler: Arc<Scheduler>,
     /// Processes that have sessions.
     pub(super) clients: Gauge,
     /// Open sessions.
@@ -73,7 +74,7 @@ pub(super) struct TaskMeter {
 
 impl Meter {
     /// All at zero, for a server with these threads and this budget of memory.
-    pub(super) fn new(scheduler: Scheduler, threads: usize, memory_bytes: u64) -> Self {
+    pub(super) fn new(scheduler: Arc<Scheduler>, threads: usize, memory_bytes: u64) -> Self {
         let mut registry = Registry::with_prefix("trocar");
         let (thread_count, budget): (Gauge, Gauge) = (Gauge::default(), Gauge::default());
         thread_count.set(threads as i64);
@@ -195,12 +196,12 @@ fn resident_memory() -> Option<i64> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::service::hall::tests::House;
+    use crate::service::scheduler::tests::TestScheduler;
 
     #[test]
     fn what_was_counted_is_told() {
-        let house = House::new("meter", 2);
-        let meter = Meter::new(house.scheduler.clone(), 2, 1 << 30);
+        let test = TestScheduler::new("meter", 2);
+        let meter = Meter::new(Arc::clone(&test.scheduler), 2, 1 << 30);
         meter.sessions.set(3);
         meter.closed("reclaimed");
         meter.refused(Code::MemoryBudget);

@@ -4,10 +4,10 @@
 //! |---|---|
 //! | [`mod@self`] | [`serve`]: the life of a server, from its lock to its last file |
 //! | `control.rs` | the control loop: rare messages, opening and closing sessions |
-//! | `desk.rs` | what a control message means, without any transport |
+//! | `admission.rs` | what a control message means, without any transport |
 //! | `meter.rs`, `exporter.rs` | what is counted, and how Prometheus gets it |
-//! | `gallery.rs` | sessions as the viewer sees them |
-//! | `lease.rs` | which clients are alive: reclaims what dead clients leave |
+//! | `watch.rs` | sessions as the viewer sees them |
+//! | `liveness.rs` | which clients are alive: reclaims what dead clients leave |
 //! | `session.rs` | a session: answers its client's messages |
 //! | `handle.rs` | a session as others see it: the control loop, the viewer |
 //! | `batch.rs` | the environments of a session: reset, step, autoreset |
@@ -16,40 +16,33 @@
 //! | `ports.rs` | the ends of the transport: how services are made, what a reply is |
 //! | `rows.rs` | the arrays of a reply, row by row |
 //! | `store.rs` | the snapshots of a session, and the memory that they take |
-//! | `witness.rs` | what is written down while environments step: failures, recordings |
+//! | `observer.rs` | what is written down while environments step: failures, recordings |
 //! | `cpus.rs` | which processors a server uses |
-//! | `scheduler.rs` | turns: which session's environments run on which threads |
-//! | `turns.rs`, `pile.rs` | which session is next; work that is cut into bites |
+//! | [`scheduler`] | which session's message is answered next, and by which thread |
 //! | `unfinished.rs` | removes shared memory that a process began and never finished |
-//! | `wakes.rs` | clients that got their replies, until they are woken up |
-//! | `hall.rs` | where sessions wait until their clients ring, and the threads that answer them |
 //!
 //! Every session has its own data service and environments. Whichever thread is free answers the message of the
-//! session that is next; long ones are interrupted after turns of about two milliseconds, so a slow session never
+//! session that is next; long ones are interrupted after quanta of about two milliseconds, so a slow session never
 //! holds up a fast one. Next is the session that has had the threads for the least time.
 
+mod admission;
 mod batch;
 mod control;
 mod cpus;
-mod desk;
 mod drawing;
 mod exporter;
-mod gallery;
-mod hall;
 mod handle;
 mod heap;
-mod lease;
+mod liveness;
 mod meter;
-mod pile;
+mod observer;
 mod ports;
 mod rows;
 mod scheduler;
 mod session;
 mod store;
-mod turns;
 mod unfinished;
-mod wakes;
-mod witness;
+mod watch;
 
 use std::io;
 use std::net::SocketAddr;
@@ -58,17 +51,17 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU8, Ordering};
 use std::time::{Duration, Instant};
 
-use trocar_proto::bell::Bells;
 use trocar_proto::cause;
 use trocar_proto::endpoint::{Endpoint, Membership, ServerLock, ServerName, ServerState};
 use trocar_proto::missing_page::guarded;
+use trocar_proto::notify::reply_event::ReplyEvent;
 use trocar_proto::{Code, Rejection};
 
 use self::unfinished::Remover;
 use crate::tasks::Registry;
 
+pub use admission::{Admission, Answer, Footprint, Holding, Quota, Usage};
 pub use cpus::Cpus;
-pub use desk::{Answer, Desk, Footprint, Holding, Quota, Usage};
 
 /// How long a server that is ending may take before its name is said to be in use: its drain limit,
 /// unless that is unusual, and some more.
@@ -206,7 +199,7 @@ pub fn serve(
     stop: &StopSignal,
     ready: impl FnOnce(),
 ) -> Result<(), ServeError> {
-    desk::check_config(config)?;
+    admission::check_config(config)?;
     // Before any thread is started: they inherit it.
     if let Some(cpus) = &config.cpus {
         cpus.pin()?;
@@ -229,7 +222,7 @@ pub fn serve(
     // A predecessor may have died while its clients live: what it left goes first. So does what no
     // process uses under other names: those of private servers are not used again.
     node.try_cleanup_dead_nodes();
-    Bells::clear(&endpoint).map_err(folder)?;
+    ReplyEvent::clear(&endpoint).map_err(folder)?;
     for other in Endpoint::all().map_err(folder)? {
         other.remove_if_unused().ok();
     }
@@ -238,7 +231,7 @@ pub fn serve(
         control::run(Arc::new(registry), config, &lock, &node, endpoint.clone(), stop, ready);
     node.try_cleanup_dead_nodes();
     // Of sessions that were left behind.
-    Bells::clear(&endpoint).ok();
+    ReplyEvent::clear(&endpoint).ok();
     drop(node);
     drop(lock);
     // The last one out removes the folder: this server, or a client that is still there.

@@ -17,15 +17,15 @@ use iceoryx2::prelude::{PortFactory as _, ServiceName};
 use iceoryx2::response_mut::ResponseMut;
 use iceoryx2::service::port_factory::request_response::PortFactory;
 use trocar_proto::Rejection;
-use trocar_proto::bell::Bells;
 use trocar_proto::cause;
 use trocar_proto::control::{self, ControlReply, MAX_MESSAGE};
 use trocar_proto::endpoint::{self, Endpoint, MAX_CLIENTS, Node, Transport};
 use trocar_proto::missing_page::guarded;
+use trocar_proto::notify::reply_event::ReplyEvent;
 use trocar_proto::open_files::{OpenFiles, SESSION_FILES};
 use trocar_proto::wire::{Header, MAX_HELD_REPLIES, MAX_IN_FLIGHT};
 
-use super::desk::CONTROL_FILES;
+use super::admission::CONTROL_FILES;
 use super::internal;
 
 /// Control replies that there is room for at a time: those that clients have not read yet.
@@ -109,7 +109,7 @@ impl Missed {
 
 /// Where control messages arrive.
 pub(super) struct ControlPorts {
-    pub(super) bell: Listener<Transport>,
+    pub(super) event: Listener<Transport>,
     port: Port,
     service: Service,
     missed: Missed,
@@ -145,9 +145,9 @@ impl ControlPorts {
             .max_notifiers(clients)
             .max_nodes(clients + 1)
             .create()
-            .map_err(internal("control bell"))?;
+            .map_err(internal("control event"))?;
         // The listener first: a client that can open the control service can ring.
-        let bell = event.listener_builder().create().map_err(internal("control bell port"))?;
+        let event = event.listener_builder().create().map_err(internal("control event port"))?;
         let missed = Missed::default();
         let port = service
             .server_builder()
@@ -158,7 +158,7 @@ impl ControlPorts {
             .set_response_degradation_handler(missed.handler())
             .create()
             .map_err(internal("control port"))?;
-        Ok(Self { bell, port, service, missed })
+        Ok(Self { event, port, service, missed })
     }
 
     /// The next request.
@@ -226,13 +226,13 @@ pub(super) const CONNECTION_FILES: usize = 3;
 /// Where the requests of one session arrive, and what tells its client of replies.
 pub(super) struct DataPorts {
     port: Port,
-    pub(super) bells: Bells,
+    pub(super) replies: ReplyEvent,
     service: Service,
     missed: Missed,
 }
 
 impl DataPorts {
-    /// Creates the service and the bells of a session whose replies have `reply_bytes` bytes.
+    /// Creates the service of a session, and the event count of its replies, whose replies have `reply_bytes` bytes.
     pub(super) fn open(
         node: &Node,
         endpoint: &Endpoint,
@@ -258,7 +258,8 @@ impl DataPorts {
             .enable_fire_and_forget_requests(false)
             .create()
             .map_err(internal("data service"))?;
-        let bells = Bells::make(endpoint, epoch, session).map_err(internal("session bells"))?;
+        let replies = ReplyEvent::make(endpoint, epoch, session)
+            .map_err(internal("the session's replies"))?;
         let missed = Missed::default();
         let port = service
             .server_builder()
@@ -269,7 +270,7 @@ impl DataPorts {
             .set_response_degradation_handler(missed.handler())
             .create()
             .map_err(internal("data port"))?;
-        Ok(Self { port, bells, service, missed })
+        Ok(Self { port, replies, service, missed })
     }
 
     /// Whether there is a client, to which [`Self::receive`] connects.

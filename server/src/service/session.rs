@@ -1,4 +1,4 @@
-//! A session: answers its client's messages, one when it is its turn.
+//! A session: answers its client's messages, one when it is its quantum.
 
 use std::collections::BTreeMap;
 use std::convert::Infallible;
@@ -10,7 +10,6 @@ use std::time::{Duration, Instant};
 use trocar_proto::control::{
     self, Autoreset, ClientInfo, ControlReply, SessionInfo, SessionRequest,
 };
-use trocar_proto::door::Size;
 use trocar_proto::endpoint::{Endpoint, Node};
 use trocar_proto::missing_page::guarded;
 use trocar_proto::open_files::SESSION_FILES;
@@ -19,27 +18,22 @@ use trocar_proto::wire::{
 };
 use trocar_proto::{Code, Rejection};
 
-use super::batch::{self, Batch, Deed};
-use super::desk::{self, Footprint};
-use super::gallery::{Exhibit, Gallery, Slot};
-use super::hall::{Attended, Guest, Outlook, Seat};
+use super::admission::{self, Footprint};
+use super::batch::{self, Batch, BatchCommand};
 use super::handle::{Nature, Pace, SessionHandle, Shared};
 use super::internal;
 use super::meter::{Meter, TaskMeter};
+use super::observer::{Failures, LiveRecording, StepObserver};
 use super::ports::{self, DataPorts, Request, Unreachable};
 use super::rows::Rows;
-use super::scheduler::{Scheduler, Turn, need};
+use super::scheduler::{Entity, Poll, Polled, Quantum, Scheduler, SlotReservation, ThreadQuota};
 use super::store::{self, Ledger, Saved, Store};
-use super::witness::{Failures, Tape, Witness};
+use super::watch::{Registration, Subscriptions, WatchRegistry};
 use crate::env::{Env, Imaging, Rebuild};
 use crate::tasks::Registry;
 
-/// What is left of the peak of what messages took after one that took less: a third after 70, about an episode.
-/// Chosen, not measured.
-const FADING: f64 = 0.984;
-
 /// What all sessions of a server share.
-pub(super) struct Ground {
+pub(super) struct ServerContext {
     pub(super) registry: Arc<Registry>,
     pub(super) meter: Arc<Meter>,
     pub(super) node: Arc<Node>,
@@ -49,16 +43,18 @@ pub(super) struct Ground {
     /// Where failures are recorded, if they are.
     pub(super) failures: Option<Failures>,
     /// Where sessions show themselves, if they may be watched.
-    pub(super) gallery: Arc<Gallery>,
+    pub(super) watch: Arc<WatchRegistry>,
+    /// The threads that step environments.
+    pub(super) scheduler: Arc<Scheduler>,
 }
 
 /// What all sessions of a client have together.
 #[derive(Clone)]
-pub(super) struct Account {
+pub(super) struct ClientQuota {
     /// The memory that they may take.
     pub(super) ledger: Arc<Ledger>,
     /// The threads that they may have.
-    pub(super) scheduler: Scheduler,
+    pub(super) threads: Arc<ThreadQuota>,
 }
 
 /// Counts a session that is refused, and says so in the log.
@@ -68,11 +64,11 @@ pub(super) fn note_refusal(meter: &Meter, pid: u32, refusal: &Rejection) {
     tracing::info!(pid, ?code, field, value, allowed, "session refused");
 }
 
-/// Opens a session at `seat`, on a thread of its own, which answers `request` when all is in place, or says why not.
+/// Opens a session in `slot`, on a thread of its own, which answers `request` when all is in place, or says why not.
 pub(super) fn open(
-    ground: Arc<Ground>,
-    account: Account,
-    (id, seat): (u64, Seat),
+    context: Arc<ServerContext>,
+    quota: ClientQuota,
+    (id, slot): (u64, SlotReservation),
     wanted: SessionRequest,
     client: ClientInfo,
     footprint: Footprint,
@@ -80,7 +76,7 @@ pub(super) fn open(
 ) -> Option<SessionHandle> {
     let shared = Arc::new(Shared {
         id,
-        seat: seat.number,
+        slot: slot.id,
         client,
         task: wanted.task.clone(),
         envs: wanted.envs,
@@ -89,12 +85,12 @@ pub(super) fn open(
         reason: OnceLock::new(),
         pace: Mutex::new(Pace::new()),
         store: Mutex::new(None),
-        tape: Tape::default(),
+        recording: LiveRecording::default(),
         nature: OnceLock::new(),
-        slot: Slot::default(),
+        subscriptions: Subscriptions::default(),
         files_due: AtomicUsize::new(SESSION_FILES),
     });
-    let meter = Arc::clone(&ground.meter);
+    let meter = Arc::clone(&context.meter);
     let (life, ended) = channel();
     // If the thread cannot be started, the request goes back with it and the client is told.
     let parcel = Arc::new(Mutex::new(Some((wanted, request))));
@@ -103,17 +99,15 @@ pub(super) fn open(
     let thread = std::thread::Builder::new().name(format!("trocar-open-{id}")).spawn(move || {
         let parcel = in_thread.lock().unwrap_or_else(PoisonError::into_inner).take();
         let Some((wanted, request)) = parcel else { return };
-        let hall = Arc::clone(account.scheduler.hall());
-        let user = account.scheduler.user();
-        match Session::open(Arc::clone(&ground), account, inner, &wanted, seat, life) {
-            Ok((mut session, info)) => {
+        let entity = Entity::new(&quota.threads);
+        match Session::open(Arc::clone(&context), quota, inner, &wanted, slot, life) {
+            Ok((session, info)) => {
                 ports::reply(&request, &ControlReply::Opened(info.into()));
                 drop(request);
-                let outlook = session.outlook(Duration::ZERO);
-                hall.admit(session.seat.number, user, outlook, Box::new(session));
+                context.scheduler.occupy(session.slot.id, entity, Box::new(session));
             }
             Err(refusal) => {
-                note_refusal(&ground.meter, pid, &refusal);
+                note_refusal(&context.meter, pid, &refusal);
                 ports::reply(&request, &ControlReply::Refused(refusal));
             }
         }
@@ -134,7 +128,7 @@ pub(super) fn open(
 
 /// The server's side of a session.
 struct Session {
-    ground: Arc<Ground>,
+    context: Arc<ServerContext>,
     shared: Arc<Shared>,
     meter: TaskMeter,
     batch: Batch,
@@ -146,15 +140,15 @@ struct Session {
     view: Option<(Imaging, PictureLayout)>,
     ports: DataPorts,
     inbox: Inbox,
-    course: Course,
-    // Dropped last, in this order: from then on its seat is free, and nothing is left of it.
-    _exhibit: Exhibit,
-    seat: Seat,
+    stats: SessionStats,
+    // Dropped last, in this order: from then on its slot is free, and nothing is left of it.
+    _registration: Registration,
+    slot: SlotReservation,
     _life: Sender<Infallible>,
 }
 
 /// How a session has gone so far.
-struct Course {
+struct SessionStats {
     opened: Instant,
     /// When its client last sent something.
     active: Instant,
@@ -162,8 +156,6 @@ struct Course {
     steps: u64,
     /// Requests that a client may still have in flight when its server was told to end.
     left: usize,
-    /// What messages took at most, CPU time; less and less for what is long ago.
-    peak: Duration,
 }
 
 /// A request's arrays, copied out of shared memory before anything looks at them, since their
@@ -178,21 +170,21 @@ struct Inbox {
 
 impl Session {
     fn open(
-        ground: Arc<Ground>,
-        account: Account,
+        context: Arc<ServerContext>,
+        quota: ClientQuota,
         shared: Arc<Shared>,
         wanted: &SessionRequest,
-        seat: Seat,
+        slot: SlotReservation,
         life: Sender<Infallible>,
     ) -> Result<(Self, SessionInfo), Rejection> {
-        let batch = Batch::new(&ground.registry, wanted)?;
+        let batch = Batch::new(&context.registry, wanted)?;
         let spec = batch.spec();
         let (envs, action_dim) = (wanted.envs as usize, spec.action_dim());
         let request_layout = RequestLayout::new(envs, spec);
         let reply_layout = ReplyLayout::new(envs, spec);
-        let (epoch, id) = (ground.epoch, shared.id);
+        let (epoch, id) = (context.epoch, shared.id);
         let view = wanted.view.as_ref();
-        let view = view.map(|view| ground.registry.view(&wanted.task, &wanted.options, view));
+        let view = view.map(|view| context.registry.view(&wanted.task, &wanted.options, view));
         let view = view.transpose()?.map(|imaging| {
             let layout = PictureLayout::new(imaging.spec());
             (imaging, layout)
@@ -200,7 +192,7 @@ impl Session {
         let info = SessionInfo {
             session: id,
             epoch,
-            seat: seat.number,
+            slot: slot.id.0,
             envs: wanted.envs,
             spec: (**spec).clone(),
             view: view.as_ref().map(|(imaging, _)| Box::new(imaging.spec().clone())),
@@ -211,7 +203,7 @@ impl Session {
             seconds_per_step: spec.seconds_per_step,
             has_goal: spec.goal.is_some(),
         });
-        let store = Store::new(account.ledger, batch.like());
+        let store = Store::new(quota.ledger, batch.like());
         *shared.store.lock().unwrap_or_else(PoisonError::into_inner) = Some(store);
         // Starts may have taken long, and nothing may be put where the server has cleared away.
         if shared.stop.load(Ordering::Acquire) {
@@ -221,15 +213,15 @@ impl Session {
         let no_room = |error: std::io::Error| {
             Rejection::new(Code::MemoryBudget, "envs", wanted.envs, error.to_string())
         };
-        let ports = guarded(|| DataPorts::open(&ground.node, &ground.endpoint, epoch, id, most))
+        let ports = guarded(|| DataPorts::open(&context.node, &context.endpoint, epoch, id, most))
             .map_err(no_room)??;
         shared.files_due.store(ports::CONNECTION_FILES, Ordering::Relaxed);
         // What is promised to a client is its own from now on, whatever fills shared memory.
-        ground.endpoint.allocate("the session").map_err(no_room)?;
+        context.endpoint.allocate("the session").map_err(no_room)?;
         let Shared { task, client, .. } = &*shared;
         let (pid, language) = (client.pid, client.language.as_str());
         tracing::info!(session = id, pid, language, task, envs, "session opened");
-        ground.meter.opened();
+        context.meter.opened();
         let session = Self {
             ports,
             inbox: Inbox {
@@ -238,23 +230,22 @@ impl Session {
                 numbers: vec![0; envs],
                 episodes: vec![0; envs],
             },
-            course: Course {
+            stats: SessionStats {
                 opened: Instant::now(),
                 active: Instant::now(),
                 steps: 0,
                 left: MAX_IN_FLIGHT,
-                peak: Duration::ZERO,
             },
-            meter: ground.meter.task(&shared.task),
+            meter: context.meter.task(&shared.task),
             next_step: wanted.autoreset == Autoreset::NextStep,
             batch,
             request_layout,
             reply_layout,
             view,
-            _exhibit: ground.gallery.exhibit(id, Arc::clone(&shared)),
-            ground,
+            _registration: context.watch.register(id, Arc::clone(&shared)),
+            context,
             shared,
-            seat,
+            slot,
             _life: life,
         };
         Ok((session, info))
@@ -263,27 +254,32 @@ impl Session {
     /// Takes note that it ends.
     fn end(&self) {
         let Shared { id, task, envs, client, reason, .. } = &*self.shared;
-        let Course { opened, steps, .. } = self.course;
+        let SessionStats { opened, steps, .. } = self.stats;
         let reason = reason.get().copied().unwrap_or("idle");
-        self.ground.meter.closed(reason);
+        self.context.meter.closed(reason);
         let (session, pid, seconds) = (id, client.pid, opened.elapsed().as_secs_f64());
         tracing::info!(session, pid, task, envs, reason, steps, seconds, "session closed");
     }
 
     /// Where there is no request.
-    fn rest(&mut self, finish: bool) -> Attended {
-        if finish || self.course.active.elapsed() > self.ground.idle_limit {
+    fn rest(&mut self, finish: bool) -> Polled {
+        if finish || self.stats.active.elapsed() > self.context.idle_limit {
             self.end();
-            return Attended::Over;
+            return Polled::Closed;
         }
-        if self.shared.slot.is_watched() {
-            self.shared.slot.show(&self.batch);
+        if self.shared.subscriptions.is_watched() {
+            self.shared.subscriptions.show(&self.batch);
         }
-        Attended::Nothing
+        Polled::Idle
     }
 
     /// Answers one request, which was found at `start`; returns how many steps environments took, and whether the client had to be woken up.
-    fn answer(&mut self, request: &Request, start: Instant, turn: &mut Turn<'_>) -> (u64, bool) {
+    fn answer(
+        &mut self,
+        request: &Request,
+        start: Instant,
+        quantum: &mut Quantum<'_>,
+    ) -> (u64, bool) {
         let asked = *request.user_header();
         let room = match &self.view {
             Some((_, layout)) if asked.kind == kind::RENDER => layout.bytes,
@@ -296,24 +292,27 @@ impl Session {
                 return (0, false);
             }
         };
-        let mut header =
-            Header { session: self.shared.id, epoch: self.ground.epoch, ..Header::new(asked.kind) };
+        let mut header = Header {
+            session: self.shared.id,
+            epoch: self.context.epoch,
+            ..Header::new(asked.kind)
+        };
         header.request = asked.request;
         header.flags = asked.flags;
-        let result = self.carry_out(&asked, request.payload(), response.payload_mut(), turn);
-        let watched = self.shared.slot.is_watched();
+        let result = self.carry_out(&asked, request.payload(), response.payload_mut(), quantum);
+        let watched = self.shared.subscriptions.is_watched();
         let steps = match result {
             Ok(()) => {
                 header.rows = asked.rows;
                 if watched && asked.kind != kind::RENDER {
                     let env_ids = &self.inbox.env_ids[..asked.rows as usize];
                     let (layout, reply) = (&self.reply_layout, response.payload());
-                    self.shared.slot.note(asked.kind, env_ids, layout, reply);
+                    self.shared.subscriptions.note(asked.kind, env_ids, layout, reply);
                 }
                 self.count(&asked, response.payload(), start.elapsed())
             }
             Err(refusal) => {
-                self.ground.meter.refused(refusal.code);
+                self.context.meter.refused(refusal.code);
                 header.status = refusal.code as u32;
                 let encoded = control::encode(&refusal, response.payload_mut());
                 header.length = encoded.unwrap_or(0) as u32;
@@ -324,14 +323,13 @@ impl Session {
         if let Err(error) = ports::send(response) {
             tracing::debug!(session = self.shared.id, error, "a reply was not delivered");
         }
-        let slept = self.ports.bells.reply().ring();
+        let slept = self.ports.replies.signal();
         if slept {
-            turn.wake(self.seat.number);
+            self.ports.replies.wake();
         }
         if watched {
             // Its client goes on meanwhile.
-            turn.rouse();
-            self.shared.slot.show(&self.batch);
+            self.shared.subscriptions.show(&self.batch);
         }
         (steps, slept)
     }
@@ -379,18 +377,18 @@ impl Session {
         asked: &Header,
         payload: &[u8],
         reply: &mut [u8],
-        turn: &mut Turn<'_>,
+        quantum: &mut Quantum<'_>,
     ) -> Result<(), Rejection> {
-        desk::check_header(asked)?;
+        admission::check_header(asked)?;
         let malformed = |field: &str, value: u64, allowed: String| {
             Rejection::new(Code::Malformed, field, value, allowed)
         };
-        if (asked.epoch, asked.session) != (self.ground.epoch, self.shared.id) {
+        if (asked.epoch, asked.session) != (self.context.epoch, self.shared.id) {
             return Err(Rejection::new(
                 Code::StaleSession,
                 "session",
                 format!("{} of run {:016x}", asked.session, asked.epoch),
-                format!("this is {} of run {:016x}", self.shared.id, self.ground.epoch),
+                format!("this is {} of run {:016x}", self.shared.id, self.context.epoch),
             ));
         }
         let rows = asked.rows as usize;
@@ -421,24 +419,24 @@ impl Session {
             };
             return if asked.flags & flag::DEPTH == 0 {
                 let rgb = layout.rgb.view_mut(reply, 1);
-                self.batch.draw(env_ids, imaging, rgb, &mut [], turn)
+                self.batch.draw(env_ids, imaging, rgb, &mut [], quantum)
             } else {
                 let depth = layout.depth.view_mut(reply, 1);
-                self.batch.draw(env_ids, imaging, &mut [], depth, turn)
+                self.batch.draw(env_ids, imaging, &mut [], depth, quantum)
             };
         }
         let mut out = Rows::of(&self.reply_layout, reply, rows);
         let states;
-        let deed = match asked.kind {
+        let command = match asked.kind {
             kind::STEP => {
                 let sent: &[f32] = layout.actions.view(payload, rows);
                 actions[..sent.len()].copy_from_slice(sent);
-                Deed::Step(&actions[..sent.len()])
+                BatchCommand::Step(&actions[..sent.len()])
             }
-            kind::RESET => Deed::Reset(seeded.then_some((numbers, &episodes[..rows]))),
+            kind::RESET => BatchCommand::Reset(seeded.then_some((numbers, &episodes[..rows]))),
             kind::SNAPSHOT => {
                 let mut room = self.shared.with_store(|store| store.make_room(rows))?;
-                let copies = self.batch.copies(env_ids, turn)?;
+                let copies = self.batch.copies(env_ids, quantum)?;
                 self.shared.with_store(|store| {
                     for (row, copy) in copies.into_iter().enumerate() {
                         out.snapshot.row(row)[0] = store.put(&mut room, Saved::State(copy));
@@ -448,19 +446,19 @@ impl Session {
                 return Ok(());
             }
             kind::RESTORE => {
-                states = saved(&self.shared, &self.batch, numbers, turn)?;
-                Deed::Restore(&states)
+                states = saved(&self.shared, &self.batch, numbers, quantum)?;
+                BatchCommand::Restore(&states)
             }
             kind::ARRANGE => {
                 let placements = self.shared.with_store(|store| {
                     numbers.iter().map(|number| store.placement(*number)).collect::<Result<_, _>>()
                 })?;
-                states = self.batch.arranged(env_ids, placements, turn)?;
-                Deed::Restore(&states)
+                states = self.batch.arranged(env_ids, placements, quantum)?;
+                BatchCommand::Restore(&states)
             }
             kind::FORK => {
-                states = self.batch.sources(numbers, turn)?;
-                Deed::Restore(&states)
+                states = self.batch.sources(numbers, quantum)?;
+                BatchCommand::Restore(&states)
             }
             other => {
                 let (first, last) = (kind::RESET, kind::ARRANGE);
@@ -469,9 +467,9 @@ impl Session {
             }
         };
         let want_expert = asked.flags & flag::WANT_EXPERT != 0;
-        let failures = self.ground.failures.as_ref();
-        let witness = Witness { failures, tape: &self.shared.tape };
-        self.batch.apply(deed, env_ids, want_expert, witness, out, turn)
+        let failures = self.context.failures.as_ref();
+        let observer = StepObserver { failures, recording: &self.shared.recording };
+        self.batch.apply(command, env_ids, want_expert, observer, out, quantum)
     }
 
     fn note(&self, start: Instant, steps: u64) {
@@ -479,11 +477,11 @@ impl Session {
     }
 }
 
-impl Guest for Session {
-    fn attend(&mut self, turn: &mut Turn<'_>) -> Attended {
-        if self.shared.stop.load(Ordering::Acquire) || self.course.left == 0 {
+impl Poll for Session {
+    fn poll(&mut self, quantum: &mut Quantum<'_>) -> Polled {
+        if self.shared.stop.load(Ordering::Acquire) || self.stats.left == 0 {
             self.end();
-            return Attended::Over;
+            return Polled::Closed;
         }
         // Asked before a request is looked for: what arrived by then is answered.
         let finish = self.shared.finish.load(Ordering::Acquire);
@@ -495,36 +493,29 @@ impl Guest for Session {
         match received {
             Ok(Some(request)) => {
                 let start = Instant::now();
-                let (steps, slept) = self.answer(&request, start, turn);
+                let (steps, slept) = self.answer(&request, start, quantum);
                 self.note(start, steps);
-                self.course.steps += steps;
-                self.course.active = Instant::now();
-                self.course.left -= usize::from(finish);
+                self.stats.steps += steps;
+                self.stats.active = Instant::now();
+                self.stats.left -= usize::from(finish);
                 let more = finish || self.ports.has_requests();
-                Attended::Answered { slept, more }
+                Polled::Answered { slept, more }
             }
             Ok(None) => self.rest(finish),
             Err(Unreachable) => {
                 self.shared.reason.get_or_init(|| "unreachable");
                 self.end();
-                Attended::Over
+                Polled::Closed
             }
         }
     }
 
-    fn outlook(&mut self, computed: Duration) -> Outlook {
-        self.batch.learn(computed);
-        let peak = self.course.peak;
-        self.course.peak = computed.max(peak.mul_f64(FADING));
-        let cost = self.batch.cost();
-        let need = need(cost, self.course.peak);
-        let size = if need.is_small() { Size::Small } else { Size::Large };
-        self.ports.bells.set_size(size);
-        Outlook { need, cost }
+    fn computed(&mut self, time: Duration) {
+        self.batch.learn(time);
     }
 
     fn failed(&mut self) {
-        self.ground.meter.closed("failed");
+        self.context.meter.closed("failed");
         tracing::error!(session = self.shared.id, "answering a session panicked; it is closed");
     }
 }
@@ -534,7 +525,7 @@ fn saved(
     shared: &Shared,
     batch: &Batch,
     numbers: &[u64],
-    turn: &mut Turn<'_>,
+    quantum: &mut Quantum<'_>,
 ) -> Result<Vec<Arc<Env>>, Rejection> {
     let found: Vec<Saved> =
         shared.with_store(|store| numbers.iter().map(|number| store.get(*number)).collect())?;
@@ -550,7 +541,7 @@ fn saved(
     }
     let rebuilds = recipes.values().map(|recipe| Rebuild::new(batch.like(), (**recipe).clone()));
     let go_on = || !shared.stop.load(Ordering::Acquire);
-    let Some(rebuilt) = batch::rebuild(rebuilds.collect(), turn, go_on) else {
+    let Some(rebuilt) = batch::rebuild(rebuilds.collect(), quantum, go_on) else {
         let why = "the session is being closed";
         return Err(Rejection::new(Code::UnknownSession, "session", shared.id, why));
     };

@@ -12,7 +12,7 @@ use std::time::{Duration, Instant};
 
 use trocar_proto::endpoint::Endpoint;
 
-use super::lease;
+use super::liveness;
 use crate::clock::thread_time;
 
 /// How long a piece may be unfinished: finishing takes microseconds, unless its process gets no processor.
@@ -45,14 +45,14 @@ impl Drop for Remover {
 
 fn watch(endpoint: &Endpoint, stopped: &Receiver<()>) {
     let mut seen = BTreeMap::new();
-    let mut pause = lease::INTERVAL;
+    let mut pause = liveness::INTERVAL;
     while stopped.recv_timeout(pause) == Err(RecvTimeoutError::Timeout) {
         let computed = thread_time();
         // What cannot be listed now is at the next look.
         if let Ok(unfinished) = endpoint.unfinished() {
             remove_old(&mut seen, unfinished, Instant::now());
         }
-        pause = lease::pause(thread_time().saturating_sub(computed));
+        pause = liveness::pause(thread_time().saturating_sub(computed));
     }
 }
 

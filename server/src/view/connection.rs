@@ -8,9 +8,9 @@ use axum::extract::ws::{CloseFrame, Message as Frame, WebSocket, close_code};
 use tokio::sync::{oneshot, watch};
 use tokio::time::{Instant, Interval, MissedTickBehavior, interval, timeout};
 
-use super::message::{self, Command, Message, Notice, Teller};
-use super::painter::{Painter, Painting};
-use super::source::{Moment, Pace, Source, Window};
+use super::camera_worker::{CameraWorker, Painting};
+use super::message::{self, Command, Message, Notice, SceneEncoder};
+use super::source::{FrameChannel, Moment, Pace, Source};
 
 /// How often the list of sessions is sent.
 const LIST: Duration = Duration::from_secs(1);
@@ -19,7 +19,7 @@ const LIST: Duration = Duration::from_secs(1);
 /// one took.
 const PICTURE: Duration = Duration::from_millis(100);
 
-/// The painter takes for a page at most one part in so many of what a core can do: trainers want it too.
+/// The camera worker takes for a page at most one part in so many of what a core can do: trainers want it too.
 const SHARE: u32 = 50;
 
 /// A page that takes nothing for so long is not there any more.
@@ -29,7 +29,7 @@ const PATIENCE: Duration = Duration::from_secs(30);
 pub(super) async fn serve(
     socket: WebSocket,
     source: Arc<dyn Source>,
-    painter: Painter,
+    camera: CameraWorker,
     mut ending: watch::Receiver<bool>,
 ) {
     let mut list = interval(LIST);
@@ -37,9 +37,9 @@ pub(super) async fn serve(
     let mut page = Page {
         socket,
         source,
-        painter,
+        camera,
         list,
-        teller: Teller::default(),
+        encoder: SceneEncoder::default(),
         watching: None,
         paused: false,
     };
@@ -67,24 +67,24 @@ struct Over(Option<u16>);
 struct Page {
     socket: WebSocket,
     source: Arc<dyn Source>,
-    painter: Painter,
+    camera: CameraWorker,
     list: Interval,
-    teller: Teller,
+    encoder: SceneEncoder,
     watching: Option<Watching>,
     paused: bool,
 }
 
-/// An environment that is watched. Its window closes with it.
+/// An environment that is watched. Its channel closes with it.
 struct Watching {
     session: u64,
     env: u32,
-    window: Arc<Window>,
+    channel: Arc<FrameChannel>,
     picture: Picture,
 }
 
 impl Drop for Watching {
     fn drop(&mut self) {
-        self.window.close();
+        self.channel.close();
     }
 }
 
@@ -141,16 +141,16 @@ impl Page {
         match message::parse(text) {
             Ok(Command::Watch { session, env, pace }) => {
                 self.watching = None;
-                self.teller.turn_away();
-                let window = Window::new(pace);
-                if let Err(why) = self.source.watch(session, env, &window) {
+                self.encoder.forget();
+                let channel = FrameChannel::new(pace);
+                if let Err(why) = self.source.watch(session, env, &channel) {
                     return self.refuse(&why).await;
                 }
                 if !self.paused {
-                    window.ask();
+                    channel.ask();
                 }
                 let picture = Picture::NotBefore(Instant::now());
-                self.watching = Some(Watching { session, env, window, picture });
+                self.watching = Some(Watching { session, env, channel, picture });
             }
             Ok(Command::Leave) => self.watching = None,
             Ok(Command::More) => self.ask(),
@@ -166,7 +166,7 @@ impl Page {
     /// Asks for the next moment or episode.
     fn ask(&self) {
         if let Some(watching) = self.watching.as_ref().filter(|_| !self.paused) {
-            watching.window.ask();
+            watching.channel.ask();
         }
     }
 
@@ -178,11 +178,11 @@ impl Page {
             self.watching = None;
             return self.say(&Notice::Gone { session }).await;
         };
-        let (messages, scene) = self.teller.tell(watching.session, watching.env, moment);
-        let pace = watching.window.pace();
+        let (messages, scene) = self.encoder.tell(watching.session, watching.env, moment);
+        let pace = watching.channel.pace();
         let is_due = matches!(watching.picture, Picture::NotBefore(due) if due <= Instant::now());
         if is_due && scene.endoscope.is_some() {
-            watching.picture = Picture::Ordered(Instant::now(), self.painter.order(scene));
+            watching.picture = Picture::Ordered(Instant::now(), self.camera.order(scene));
         }
         for message in messages {
             self.send(match message {
@@ -232,12 +232,12 @@ impl Page {
 
 /// The next thing that is to be shown.
 async fn next(watching: &mut Option<Watching>) -> Event {
-    let Some(Watching { window, picture, .. }) = watching else {
+    let Some(Watching { channel, picture, .. }) = watching else {
         return std::future::pending().await;
     };
-    let Picture::Ordered(_, answer) = picture else { return Event::Moment(window.next().await) };
+    let Picture::Ordered(_, answer) = picture else { return Event::Moment(channel.next().await) };
     tokio::select! {
-        moment = window.next() => Event::Moment(moment),
+        moment = channel.next() => Event::Moment(moment),
         painting = answer => Event::Picture(painting.ok()),
     }
 }

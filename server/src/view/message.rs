@@ -151,7 +151,7 @@ struct ViewCard {
 
 /// What one page has been told of what there is to see.
 #[derive(Debug, Default)]
-pub struct Teller {
+pub struct SceneEncoder {
     meshes: Vec<Arc<Mesh>>,
     scene: Option<Arc<Scene>>,
     number: u32,
@@ -166,7 +166,7 @@ pub enum Message {
     Bytes(Vec<u8>),
 }
 
-impl Teller {
+impl SceneEncoder {
     /// Most meshes that a page is told to remember.
     const MOST_MESHES: usize = 1024;
 
@@ -186,7 +186,7 @@ impl Teller {
     }
 
     /// Something else is watched from now on; it has a scene of its own.
-    pub fn turn_away(&mut self) {
+    pub fn forget(&mut self) {
         self.scene = None;
     }
 

@@ -3,22 +3,22 @@
 //! | module | holds |
 //! |---|---|
 //! | [`mod@self`] | [`View`]: the server of the page |
-//! | [`source`] | what can be watched, and windows; a server's sessions are in `service/gallery.rs` |
-//! | [`reel`] | recordings |
+//! | [`source`] | what can be watched, and channels; a server's sessions are in `service/watch.rs` |
+//! | [`replay_source`] | recordings |
 //! | [`message`] | what page and server say to each other |
 //! | `connection.rs` | one page that is connected |
-//! | `painter.rs` | draws the endoscope's picture |
-//! | `door.rs` | how many may be connected, and from where |
+//! | `camera_worker.rs` | draws the endoscope's picture |
+//! | `access.rs` | how many may be connected, and from where |
 //!
 //! The page itself is built from `server/view` (`make viewer`). The simulating side puts *moments* into
-//! *windows* where they are wanted. The viewer's threads turn poses into messages and draw the
+//! *channels* where they are wanted. The viewer's threads turn poses into messages and draw the
 //! endoscope's pictures. A page that is slow gets fewer moments.
 
+mod access;
+mod camera_worker;
 mod connection;
-mod door;
 pub mod message;
-mod painter;
-pub mod reel;
+pub mod replay_source;
 pub mod source;
 
 use std::io;
@@ -36,8 +36,8 @@ use axum::response::{IntoResponse, Response};
 use axum::routing::get;
 use tokio::sync::watch;
 
-use door::{Door, Guests};
-use painter::Painter;
+use access::{AllowedHosts, ConnectionLimit};
+use camera_worker::CameraWorker;
 use source::Source;
 
 /// The page, with all that it needs in it.
@@ -69,9 +69,9 @@ pub struct View {
 #[derive(Clone)]
 struct Shared {
     source: Arc<dyn Source>,
-    painter: Painter,
+    camera: CameraWorker,
     pages: Arc<AtomicUsize>,
-    guests: Guests,
+    hosts: AllowedHosts,
     ending: watch::Receiver<bool>,
 }
 
@@ -84,19 +84,21 @@ impl View {
         let runtime =
             tokio::runtime::Builder::new_current_thread().enable_io().enable_time().build()?;
         let (ending, ended) = watch::channel(false);
-        let (painter, painting) = Painter::start(MOST_PAGES)?;
+        let (camera, painting) = CameraWorker::start(MOST_PAGES)?;
         let pages = Arc::new(AtomicUsize::new(0));
         let shared = Shared {
             source,
-            painter,
+            camera,
             pages: Arc::clone(&pages),
-            guests: Guests::of(address),
+            hosts: AllowedHosts::of(address),
             ending: ended.clone(),
         };
         let serve = async move {
             let app = Router::new().route("/", get(page)).route("/live", get(live));
-            let listener =
-                Door::new(tokio::net::TcpListener::from_std(listener)?, MOST_CONNECTIONS);
+            let listener = ConnectionLimit::new(
+                tokio::net::TcpListener::from_std(listener)?,
+                MOST_CONNECTIONS,
+            );
             let end = until_end(ended, &pages);
             tokio::select! {
                 served = axum::serve(listener, app.with_state(shared)).into_future() => served,
@@ -138,7 +140,7 @@ async fn until_end(mut ended: watch::Receiver<bool>, pages: &AtomicUsize) {
 }
 
 async fn page(State(shared): State<Shared>, headers: HeaderMap) -> Response {
-    if let Err(why) = shared.guests.check(&headers) {
+    if let Err(why) = shared.hosts.check(&headers) {
         return (StatusCode::FORBIDDEN, why).into_response();
     }
     let headers = [
@@ -156,7 +158,7 @@ async fn live(
     headers: HeaderMap,
     upgrade: WebSocketUpgrade,
 ) -> Response {
-    if let Err(why) = shared.guests.check(&headers) {
+    if let Err(why) = shared.hosts.check(&headers) {
         return (StatusCode::FORBIDDEN, why).into_response();
     }
     let Some(place) = Place::take(&shared.pages) else {
@@ -166,7 +168,7 @@ async fn live(
     let longest = message::LONGEST_COMMAND;
     let upgrade = upgrade.max_message_size(longest).max_frame_size(longest);
     upgrade.on_upgrade(async move |socket| {
-        connection::serve(socket, shared.source, shared.painter, shared.ending).await;
+        connection::serve(socket, shared.source, shared.camera, shared.ending).await;
         drop(place);
     })
 }

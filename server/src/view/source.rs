@@ -1,4 +1,4 @@
-//! What can be watched, and the window through which it is.
+//! What can be watched, and the channel through which it is.
 
 use std::collections::VecDeque;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -20,9 +20,9 @@ pub trait Source: Send + Sync + 'static {
     /// What can be watched now.
     fn sessions(&self) -> Vec<SessionCard>;
 
-    /// Has moments of an environment put into `window` until that is closed from either side. An error
+    /// Has moments of an environment put into `channel` until that is closed from either side. An error
     /// says why there is nothing to see.
-    fn watch(&self, session: u64, env: u32, window: &Arc<Window>) -> Result<(), String>;
+    fn watch(&self, session: u64, env: u32, channel: &Arc<FrameChannel>) -> Result<(), String>;
 }
 
 /// A source, as the page names it.
@@ -163,7 +163,7 @@ pub enum Pace {
 /// A place for moments between a session and a page. Neither waits for the other: where there is no room,
 /// or the other is at it just then, a moment is not put there.
 #[derive(Debug, Default)]
-pub struct Window {
+pub struct FrameChannel {
     pace: Pace,
     /// A moment (live), or an episode of them, is wanted.
     wanted: AtomicBool,
@@ -172,11 +172,11 @@ pub struct Window {
     changed: Notify,
 }
 
-impl Window {
+impl FrameChannel {
     /// Most moments that wait to be taken.
     pub const ROOM: usize = 512;
 
-    /// A window in which nothing is wanted yet.
+    /// A channel in which nothing is wanted yet.
     pub fn new(pace: Pace) -> Arc<Self> {
         Arc::new(Self { pace, ..Self::default() })
     }
@@ -217,7 +217,7 @@ impl Window {
         true
     }
 
-    /// Waits for the next moment; `None` once the window is closed.
+    /// Waits for the next moment; `None` once the channel is closed.
     pub async fn next(&self) -> Option<Moment> {
         loop {
             let first = self.moments.lock().unwrap_or_else(PoisonError::into_inner).pop_front();
@@ -273,20 +273,21 @@ mod tests {
 
     #[test]
     fn a_window_that_nobody_looks_through_takes_no_more_than_it_has_room_for() {
-        let window = Window::new(Pace::Episodes);
-        let taken = (0..2 * Window::ROOM as u32).filter(|steps| window.put(moment(*steps))).count();
-        assert_eq!(taken, Window::ROOM);
+        let channel = FrameChannel::new(Pace::Episodes);
+        let taken =
+            (0..2 * FrameChannel::ROOM as u32).filter(|steps| channel.put(moment(*steps))).count();
+        assert_eq!(taken, FrameChannel::ROOM);
         // A page that looks at it does not hold the session up.
-        let looking = window.moments.lock().unwrap();
-        assert!(!window.put(moment(0)));
+        let looking = channel.moments.lock().unwrap();
+        assert!(!channel.put(moment(0)));
         drop(looking);
         let runtime = tokio::runtime::Builder::new_current_thread().build().unwrap();
         runtime.block_on(async {
-            for steps in 0..Window::ROOM as u32 {
-                assert_eq!(window.next().await.unwrap().steps, steps);
+            for steps in 0..FrameChannel::ROOM as u32 {
+                assert_eq!(channel.next().await.unwrap().steps, steps);
             }
-            window.close();
-            assert!(window.next().await.is_none());
+            channel.close();
+            assert!(channel.next().await.is_none());
         });
     }
 }

@@ -12,20 +12,20 @@ use trocar_proto::spec::OptionValue;
 use trocar_proto::wire::Header;
 use trocar_proto::{Code, Options, Placement, Rejection};
 use trocar_server::Registry;
-use trocar_server::service::{Answer, Desk, Footprint, ServerConfig, Usage};
+use trocar_server::service::{Admission, Answer, Footprint, ServerConfig, Usage};
 
 use crate::input::Input;
 
 /// Memory that all sessions may take, bytes.
 const BUDGET: u64 = 64 << 20;
 
-static DESK: LazyLock<Desk> = LazyLock::new(|| {
+static DESK: LazyLock<Admission> = LazyLock::new(|| {
     let config = ServerConfig {
         memory_bytes: BUDGET,
         max_envs: 64,
         ..ServerConfig::new("fuzz".parse().expect("a name"))
     };
-    Desk::new(Arc::new(Registry::builtin()), &config, 1)
+    Admission::new(Arc::new(Registry::builtin()), &config, 1)
 });
 
 static REGISTRY: LazyLock<Registry> = LazyLock::new(Registry::builtin);
@@ -50,7 +50,7 @@ pub(crate) fn run(data: &[u8]) {
         sessions: 3,
         ..Usage::default()
     };
-    match DESK.judge(&header, bytes, &usage) {
+    match DESK.check(&header, bytes, &usage) {
         Answer::Reply(ControlReply::Refused(refusal)) => check(&refusal),
         Answer::Reply(reply) => {
             let told = encode(&reply).expect("a client can be told");
@@ -59,7 +59,7 @@ pub(crate) fn run(data: &[u8]) {
         Answer::Open { request, footprint, .. } => {
             assert!(footprint.total() <= BUDGET / 2 && request.envs <= 64, "{request:?}");
             let env = REGISTRY.make(&request.task, &request.options);
-            let env = env.expect("the desk has made one like it");
+            let env = env.expect("the admission has made one like it");
             assert!(env.memory_bytes() * u64::from(request.envs) <= footprint.private);
         }
         _ => {}
@@ -178,7 +178,7 @@ fn requests() -> Vec<ControlRequest> {
 fn replies() -> Vec<ControlReply> {
     let spec = REGISTRY.spec("EcmReach-v0", &Options::new()).expect("a task");
     let info =
-        SessionInfo { session: 1, epoch: 2, seat: 3, envs: 4, spec: spec.clone(), view: None };
+        SessionInfo { session: 1, epoch: 2, slot: 3, envs: 4, spec: spec.clone(), view: None };
     vec![
         ControlReply::Hello(DESK.info().clone()),
         ControlReply::Tasks(REGISTRY.ids().map(str::to_string).collect()),

@@ -7,20 +7,20 @@ use std::sync::{LazyLock, Mutex, PoisonError};
 use std::time::Duration;
 
 use trocar_client::SessionRequest;
-use trocar_proto::bell::Bells;
-use trocar_proto::door::{Door, Listener, SEATS, Size, Sleepers};
 use trocar_proto::endpoint::{Endpoint, Membership};
+use trocar_proto::notify::doorbell::{Doorbell, SLOTS};
+use trocar_proto::notify::reply_event::ReplyEvent;
 
 use crate::hosted::{self, Known};
 use crate::input::Input;
 
 /// Most that is done with an input's words.
-const MOST_DEEDS: usize = 24;
+const MOST_ACTIONS: usize = 24;
 
 /// Words that no server looks at, both sides of them.
 struct Pair {
-    made: (Door, Bells),
-    opened: (Door, Bells),
+    made: (Doorbell, ReplyEvent),
+    opened: (Doorbell, ReplyEvent),
     files: Vec<File>,
     _membership: Membership,
 }
@@ -29,11 +29,13 @@ static PAIR: LazyLock<Mutex<Pair>> = LazyLock::new(|| {
     let name = format!("words-{}", std::process::id()).parse().expect("a name");
     let endpoint = Endpoint::new(&name);
     let membership = endpoint.join().expect("shared memory");
-    let made =
-        (Door::make(&endpoint, 1).expect("made"), Bells::make(&endpoint, 1, 1).expect("made"));
+    let made = (
+        Doorbell::make(&endpoint, 1).expect("made"),
+        ReplyEvent::make(&endpoint, 1, 1).expect("made"),
+    );
     let opened = (
-        Door::open(&endpoint, 1).expect("it is there"),
-        Bells::open(&endpoint, 1, 1).expect("it is there"),
+        Doorbell::open(&endpoint, 1).expect("it is there"),
+        ReplyEvent::open(&endpoint, 1, 1).expect("it is there"),
     );
     Mutex::new(Pair { made, opened, files: words_of(&endpoint, 1), _membership: membership })
 });
@@ -55,7 +57,7 @@ fn words_of(endpoint: &Endpoint, session: u64) -> Vec<File> {
         let path = files.iter().find(is_it).expect("words that a server has made");
         File::options().write(true).open(path).expect("words of this user")
     };
-    vec![open(&format!(".{session}")), open(".door")]
+    vec![open(&format!(".{session}")), open(".doorbell")]
 }
 
 /// Writes any word anywhere.
@@ -68,51 +70,43 @@ fn scribble(files: &[File], input: &mut Input<'_>) {
 
 fn alone(mut input: Input<'_>) {
     let pair = PAIR.lock().unwrap_or_else(PoisonError::into_inner);
-    let Pair { made: (server, replies), opened: (client, bells), files, .. } = &*pair;
-    for _ in 0..MOST_DEEDS {
+    let Pair { made: (server, replies), opened: (client, awaited), files, .. } = &*pair;
+    for _ in 0..MOST_ACTIONS {
         if input.is_empty() {
             break;
         }
-        let deed = input.byte();
+        let action = input.byte();
         let number = input.u32();
-        let size = if number & 1 == 0 { Size::Small } else { Size::Large };
-        let listener = if number & 2 == 0 { Listener::Any } else { Listener::Small };
-        match deed % 8 {
+        match action % 8 {
             0 | 1 => scribble(files, &mut input),
             2 => {
-                client.ring(number, size);
+                client.ring(number);
                 assert!(server.is_rung(), "what rings is seen");
             }
             3 => {
                 let taken: Vec<_> = server.take().collect();
-                assert!(taken.iter().all(|seat| (*seat as usize) < SEATS), "{taken:?}");
+                assert!(taken.iter().all(|slot| (*slot as usize) < SLOTS), "{taken:?}");
                 assert!(taken.windows(2).all(|pair| pair[0] < pair[1]), "{taken:?}");
                 assert!(!server.is_rung());
             }
-            4 => server.set_alert(listener, number & 4 != 0),
+            4 => server.advertise(number & 4 != 0),
             5 => {
-                server.wake(listener);
-                server.sleep(listener, number, Duration::ZERO);
+                server.wake_all();
+                server.sleep(number, Duration::ZERO);
             }
             6 => {
-                replies.set_size(size);
-                assert_eq!(bells.size(), size);
-                let mut sleepers = Sleepers::default();
-                if replies.reply().ring() {
-                    sleepers.add(number);
+                if replies.signal() {
+                    replies.wake();
                 }
-                server.rouse(&mut sleepers);
             }
             _ => {
-                client.await_reply(number, bells.reply(), bells.reply().count(), Duration::ZERO);
-                assert!(!replies.reply().ring(), "no client sleeps any more");
-                let before = client.pulse();
+                awaited.wait(awaited.count(), Duration::ZERO);
+                assert!(!replies.signal(), "no client sleeps any more");
+                let before = client.heartbeat();
                 server.beat();
-                assert_eq!(client.pulse(), before.wrapping_add(1));
+                assert_eq!(client.heartbeat(), before.wrapping_add(1));
             }
         }
-        // Any word is a size.
-        assert!(matches!(bells.size(), Size::Small | Size::Large));
     }
 }
 
@@ -125,7 +119,7 @@ fn under_a_server(mut input: Input<'_>) {
         let files = words_of(&server.endpoint, known.session.info().session);
         (known, files)
     });
-    for _ in 0..MOST_DEEDS {
+    for _ in 0..MOST_ACTIONS {
         if input.is_empty() {
             break;
         }
@@ -135,19 +129,19 @@ fn under_a_server(mut input: Input<'_>) {
 }
 
 pub(crate) fn seeds() -> Vec<Vec<u8>> {
-    let deed = |deed: u8, number: u32| [vec![deed], number.to_le_bytes().to_vec()].concat();
+    let action = |action: u8, number: u32| [vec![action], number.to_le_bytes().to_vec()].concat();
     let scribble = |file: u8, at: u8, word: u64| {
-        [deed(0, 0), vec![file, at], word.to_le_bytes().to_vec()].concat()
+        [action(0, 0), vec![file, at], word.to_le_bytes().to_vec()].concat()
     };
     let mut seeds = vec![vec![]];
     for number in [0, 1, 2, 3, 63, 64, 127, 128, 1 << 20] {
-        let deeds: Vec<u8> = (2..8).flat_map(|each| deed(each, number)).collect();
-        seeds.push([vec![0], deeds].concat());
+        let actions: Vec<u8> = (2..8).flat_map(|each| action(each, number)).collect();
+        seeds.push([vec![0], actions].concat());
     }
     for at in (0..=252).step_by(8) {
         let rubbish = [scribble(0, at, u64::MAX), scribble(1, at, u64::MAX)].concat();
-        let deeds: Vec<u8> = (2..8).flat_map(|each| deed(each, 5)).collect();
-        seeds.push([vec![0], rubbish, deeds].concat());
+        let actions: Vec<u8> = (2..8).flat_map(|each| action(each, 5)).collect();
+        seeds.push([vec![0], rubbish, actions].concat());
     }
     for at in [0, 16, 64, 128] {
         seeds.push([vec![15, 0, at], vec![0xff; 8], vec![1, at], vec![0x7f; 8]].concat());

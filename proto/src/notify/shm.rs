@@ -18,23 +18,23 @@ use rustix::mm::{MapFlags, ProtFlags};
 /// It consists of atomics only, of which every value is valid, all bits 0 is how it begins, and it needs no
 /// more than a page's alignment.
 #[allow(unsafe_code)]
-pub(crate) unsafe trait Words: fmt::Debug + Send + Sync + 'static {}
+pub(crate) unsafe trait SharedLayout: fmt::Debug + Send + Sync + 'static {}
 
 /// Words as they lie in shared memory. The process that made them removes them.
-pub(crate) struct Mapping<W: Words> {
-    words: NonNull<W>,
+pub(crate) struct Shm<L: SharedLayout> {
+    words: NonNull<L>,
     /// Where they are to be removed.
     made: Option<PathBuf>,
 }
 
 #[allow(unsafe_code)]
 // SAFETY: all that can be reached are atomics; the mapping belongs to no thread.
-unsafe impl<W: Words> Send for Mapping<W> {}
+unsafe impl<L: SharedLayout> Send for Shm<L> {}
 #[allow(unsafe_code)]
 // SAFETY: as above.
-unsafe impl<W: Words> Sync for Mapping<W> {}
+unsafe impl<L: SharedLayout> Sync for Shm<L> {}
 
-impl<W: Words> Mapping<W> {
+impl<L: SharedLayout> Shm<L> {
     /// Makes them at `path`, where nothing may be yet. They are removed when this is dropped.
     pub(crate) fn make(path: PathBuf) -> io::Result<Self> {
         let file =
@@ -64,11 +64,11 @@ impl<W: Words> Mapping<W> {
         Self::map(&file)
     }
 
-    const BYTES: usize = size_of::<W>();
+    const BYTES: usize = size_of::<L>();
 
     #[allow(unsafe_code)]
     fn map(file: &fs::File) -> io::Result<Self> {
-        const { assert!(align_of::<W>() <= 4096) };
+        const { assert!(align_of::<L>() <= 4096) };
         let protection = ProtFlags::READ | ProtFlags::WRITE;
         // SAFETY: the kernel chooses the place, so nothing that is there is replaced.
         let place = unsafe {
@@ -79,24 +79,24 @@ impl<W: Words> Mapping<W> {
     }
 }
 
-impl<W: Words> Deref for Mapping<W> {
-    type Target = W;
+impl<L: SharedLayout> Deref for Shm<L> {
+    type Target = L;
 
     #[allow(unsafe_code)]
-    fn deref(&self) -> &W {
+    fn deref(&self) -> &L {
         // SAFETY: the mapping is as long as the words, aligned to a page, and stays until this is
-        // dropped; what lies there may be written to by others, as `Words` promises.
+        // dropped; what lies there may be written to by others, as `SharedLayout` promises.
         unsafe { self.words.as_ref() }
     }
 }
 
-impl<W: Words> fmt::Debug for Mapping<W> {
+impl<L: SharedLayout> fmt::Debug for Shm<L> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.debug_struct("Mapping").field("words", &**self).field("made", &self.made).finish()
+        f.debug_struct("Shm").field("words", &**self).field("made", &self.made).finish()
     }
 }
 
-impl<W: Words> Drop for Mapping<W> {
+impl<L: SharedLayout> Drop for Shm<L> {
     #[allow(unsafe_code)]
     fn drop(&mut self) {
         if let Some(path) = &self.made {

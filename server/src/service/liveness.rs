@@ -26,24 +26,24 @@ pub(super) fn pause(computed: Duration) -> Duration {
 
 /// The clients that were alive at the last look.
 #[derive(Debug, Default)]
-pub(super) struct Census {
+pub(super) struct LiveNodes {
     alive: Vec<u128>,
     /// Whether a client died and left something.
     pub(super) deaths: bool,
 }
 
-impl Census {
+impl LiveNodes {
     /// Looks which clients are alive. `None` where the list could not be read; the next look may
     /// do.
     pub(super) fn take(node: &Node) -> Option<Self> {
-        let mut census = Self::default();
+        let mut live = Self::default();
         let listed = Node::list(node.config(), |state| {
             match state {
-                NodeState::Alive(view) => census.alive.push(view.id().value()),
-                NodeState::Dead(_) => census.deaths = true,
+                NodeState::Alive(view) => live.alive.push(view.id().value()),
+                NodeState::Dead(_) => live.deaths = true,
                 // Being created or removed right now; the next look tells.
                 NodeState::Inaccessible(id) | NodeState::Undefined(id) => {
-                    census.alive.push(id.value());
+                    live.alive.push(id.value());
                 }
             }
             CallbackProgression::Continue
@@ -51,7 +51,7 @@ impl Census {
         listed
             .inspect_err(|error| tracing::debug!(?error, "participants could not be listed"))
             .ok()
-            .map(|()| census)
+            .map(|()| live)
     }
 
     /// Whether this participant is alive.
@@ -67,7 +67,7 @@ impl Census {
 
 /// Watches for the end of a server's reason to be, if its configuration names one.
 #[derive(Debug)]
-pub(super) struct Watch {
+pub(super) struct Lifetime {
     followed: Option<Followed>,
     linger: Option<Duration>,
     last_client: Instant,
@@ -82,7 +82,7 @@ enum Followed {
     Gone,
 }
 
-impl Watch {
+impl Lifetime {
     pub(super) fn new(config: &ServerConfig) -> Self {
         let followed = config.follow.map(|process| {
             Pid::from_raw(process.cast_signed())

@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 /// the message comes late, because it takes long or because others kept the core that was offered,
 /// the next waits are slept through, the more of them the more often that happens.
 #[derive(Debug)]
-pub struct Vigil {
+pub struct SpinWait {
     start: Instant,
     /// How long it lasts.
     longest: Duration,
@@ -17,7 +17,7 @@ pub struct Vigil {
     penalty: u32,
 }
 
-impl Vigil {
+impl SpinWait {
     /// How long it lasts where the other side is awake.
     const LONGEST: Duration = Duration::from_micros(50);
 
@@ -58,16 +58,16 @@ impl Vigil {
     }
 
     /// Offers the core to others and returns true; false where it is time to sleep.
-    pub fn keep(&self) -> bool {
-        let keep = self.asleep == 0 && self.start.elapsed() < self.longest;
-        if keep {
+    pub fn spin(&self) -> bool {
+        let spins = self.asleep == 0 && self.start.elapsed() < self.longest;
+        if spins {
             std::thread::yield_now();
         }
-        keep
+        spins
     }
 }
 
-impl Default for Vigil {
+impl Default for SpinWait {
     fn default() -> Self {
         Self::new()
     }
@@ -78,34 +78,34 @@ mod tests {
     use super::*;
 
     /// A wait that began so long ago.
-    fn waiting(vigil: &mut Vigil, slept: bool, ago: Duration) {
-        vigil.begin(slept);
-        vigil.start = Instant::now().checked_sub(ago).unwrap();
+    fn waiting(spin_wait: &mut SpinWait, slept: bool, ago: Duration) {
+        spin_wait.begin(slept);
+        spin_wait.start = Instant::now().checked_sub(ago).unwrap();
     }
 
     #[test]
     fn a_late_message_costs_the_next_waits_and_not_if_its_sender_had_to_be_woken_up() {
-        let late = Vigil::LONGEST + Vigil::WAKING / 2;
-        let cost = late.as_micros() / Vigil::WORTH.as_micros();
-        let mut vigil = Vigil::new();
+        let late = SpinWait::LONGEST + SpinWait::WAKING / 2;
+        let cost = late.as_micros() / SpinWait::WORTH.as_micros();
+        let mut spin_wait = SpinWait::new();
         // A pause of this thread may be longer than what is left, but not each time.
         let kept = (0..1000).any(|_| {
-            waiting(&mut vigil, true, late);
-            vigil.keep()
+            waiting(&mut spin_wait, true, late);
+            spin_wait.spin()
         });
         assert!(kept);
-        waiting(&mut vigil, false, late);
-        assert!(!vigil.keep());
-        vigil.end();
+        waiting(&mut spin_wait, false, late);
+        assert!(!spin_wait.spin());
+        spin_wait.end();
         for _ in 0..cost {
-            vigil.begin(true);
-            assert!(!vigil.keep(), "it sleeps");
-            vigil.end();
+            spin_wait.begin(true);
+            assert!(!spin_wait.spin(), "it sleeps");
+            spin_wait.end();
         }
-        let kept = (0..Vigil::MOST).any(|_| {
-            vigil.begin(true);
-            let kept = vigil.keep();
-            vigil.end();
+        let kept = (0..SpinWait::MOST).any(|_| {
+            spin_wait.begin(true);
+            let kept = spin_wait.spin();
+            spin_wait.end();
             kept
         });
         assert!(kept);

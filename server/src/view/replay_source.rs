@@ -7,7 +7,7 @@ use std::time::Duration;
 
 use trocar_proto::Rejection;
 
-use super::source::{About, Mark, Moment, SessionCard, Source, Window};
+use super::source::{About, FrameChannel, Mark, Moment, SessionCard, Source};
 use crate::env::recording::{Course, Replay};
 use crate::tasks::Registry;
 
@@ -15,12 +15,12 @@ use crate::tasks::Registry;
 const PAUSE: Duration = Duration::from_millis(2);
 
 /// Recordings, for the viewer.
-pub struct Reel {
+pub struct ReplaySource {
     registry: Registry,
     files: Vec<(SessionCard, Vec<Course>)>,
 }
 
-impl Reel {
+impl ReplaySource {
     /// Recordings by their names.
     pub fn new(
         registry: Registry,
@@ -50,7 +50,7 @@ impl Reel {
     }
 }
 
-impl Source for Reel {
+impl Source for ReplaySource {
     fn about(&self) -> About {
         let names: Vec<_> = self.files.iter().map(|(card, _)| card.language.as_str()).collect();
         About {
@@ -65,26 +65,27 @@ impl Source for Reel {
         self.files.iter().map(|(card, _)| card.clone()).collect()
     }
 
-    fn watch(&self, session: u64, env: u32, window: &Arc<Window>) -> Result<(), String> {
+    fn watch(&self, session: u64, env: u32, channel: &Arc<FrameChannel>) -> Result<(), String> {
         let file = self.files.iter().find(|(card, _)| card.id == session);
         let (_, courses) = file.ok_or_else(|| format!("there is no recording {session}"))?;
         let course = courses.get(env as usize).ok_or_else(|| {
             format!("recording {session} has no episode {env}; the last is {}", courses.len() - 1)
         })?;
         let replay = Replay::new(&self.registry, course.clone());
-        let (replay, window) = (replay.map_err(|refusal| refusal.to_string())?, Arc::clone(window));
-        let playing = thread::Builder::new().name("trocar-reel".into());
-        playing.spawn(move || play(replay, &window)).map_err(|error| error.to_string())?;
+        let (replay, channel) =
+            (replay.map_err(|refusal| refusal.to_string())?, Arc::clone(channel));
+        let playing = thread::Builder::new().name("trocar-replay".into());
+        playing.spawn(move || play(replay, &channel)).map_err(|error| error.to_string())?;
         Ok(())
     }
 }
 
 /// Shows an episode from its beginning to its end, or to a state that is not as it was recorded.
-fn play(mut replay: Replay, window: &Window) {
+fn play(mut replay: Replay, channel: &FrameChannel) {
     let begun = Mark { is_step: false, reward: 0.0, ended: false, is_success: false };
-    show(&replay, begun, window);
+    show(&replay, begun, channel);
     while let Some(Ok(step)) = replay.next() {
-        if replay.has_failed() || window.is_closed() {
+        if replay.has_failed() || channel.is_closed() {
             return;
         }
         let mark = Mark {
@@ -93,12 +94,12 @@ fn play(mut replay: Replay, window: &Window) {
             ended: step.terminated || step.truncated,
             is_success: step.is_success,
         };
-        show(&replay, mark, window);
+        show(&replay, mark, channel);
     }
 }
 
-fn show(replay: &Replay, mark: Mark, window: &Window) {
-    while !window.is_closed() && !window.put(Moment::of(replay.env(), vec![mark])) {
+fn show(replay: &Replay, mark: Mark, channel: &FrameChannel) {
+    while !channel.is_closed() && !channel.put(Moment::of(replay.env(), vec![mark])) {
         thread::sleep(PAUSE);
     }
 }
@@ -126,23 +127,23 @@ mod tests {
         }
         bytes.extend(recorder.before_leaving(&env).into_iter().flatten());
         let courses = recording::read(&bytes).unwrap();
-        let reel = Reel::new(registry, [("two".to_string(), courses)]).unwrap();
-        assert_eq!((reel.sessions().len(), reel.sessions()[0].envs), (1, 2));
+        let replays = ReplaySource::new(registry, [("two".to_string(), courses)]).unwrap();
+        assert_eq!((replays.sessions().len(), replays.sessions()[0].envs), (1, 2));
         let runtime = tokio::runtime::Builder::new_current_thread().build().unwrap();
         for (episode, steps) in [(0, 50), (1, 7)] {
-            let window = Window::new(Pace::Episodes);
-            reel.watch(1, episode, &window).unwrap();
+            let channel = FrameChannel::new(Pace::Episodes);
+            replays.watch(1, episode, &channel).unwrap();
             runtime.block_on(async {
                 for step in 0..=steps {
-                    let moment = window.next().await.unwrap();
+                    let moment = channel.next().await.unwrap();
                     assert_eq!((moment.seed, moment.steps), (3 + u64::from(episode), step));
                     assert_eq!(moment.marks[0].ended, step == 50);
                 }
             });
-            window.close();
+            channel.close();
         }
         let refusal = |session, episode| {
-            reel.watch(session, episode, &Window::new(Pace::Episodes)).unwrap_err()
+            replays.watch(session, episode, &FrameChannel::new(Pace::Episodes)).unwrap_err()
         };
         assert!(refusal(2, 0).contains("no recording 2"));
         assert!(refusal(1, 2).contains("no episode 2; the last is 1"));

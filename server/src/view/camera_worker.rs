@@ -36,10 +36,10 @@ pub(super) struct Painting {
 
 /// Takes orders; clones give them to the same thread.
 #[derive(Debug, Clone)]
-pub(super) struct Painter(SyncSender<Order>);
+pub(super) struct CameraWorker(SyncSender<Order>);
 
-impl Painter {
-    /// Starts the thread. It ends with the last clone of the painter.
+impl CameraWorker {
+    /// Starts the thread. It ends with the last clone.
     pub(super) fn start(room: usize) -> io::Result<(Self, JoinHandle<()>)> {
         let (orders, waiting) = sync_channel(room);
         let thread = std::thread::Builder::new().name("trocar-paint".into());
@@ -58,7 +58,7 @@ impl Painter {
 
 fn work(orders: &Receiver<Order>) {
     if let Err(error) = setpriority_process(Some(gettid()), LEAST) {
-        tracing::debug!(%error, "the painter does not make way for others");
+        tracing::debug!(%error, "the camera worker does not make way for others");
     }
     let mut rgb = vec![0; 3 * PIXELS * PIXELS];
     for order in orders {
@@ -115,28 +115,28 @@ mod tests {
 
     #[test]
     fn a_picture_is_what_the_renderer_draws() {
-        let (painter, thread) = Painter::start(1).unwrap();
-        let painting = painter.order(Arc::new(scene())).blocking_recv().unwrap();
+        let (worker, thread) = CameraWorker::start(1).unwrap();
+        let painting = worker.order(Arc::new(scene())).blocking_recv().unwrap();
         assert!(painting.cost > Duration::ZERO);
         let mut reader = png::Decoder::new(std::io::Cursor::new(painting.png)).read_info().unwrap();
         let mut rgb = vec![0; reader.output_buffer_size().unwrap()];
         reader.next_frame(&mut rgb).unwrap();
         let camera = scene().camera(Lens::Endoscope, PIXELS, PIXELS).unwrap();
         assert_eq!(rgb, Software::default().picture(&scene(), &camera).rgb);
-        drop(painter);
+        drop(worker);
         thread.join().unwrap();
     }
 
     #[test]
     fn what_cannot_be_drawn_is_no_picture_and_stops_nothing() {
-        let (painter, thread) = Painter::start(1).unwrap();
+        let (worker, thread) = CameraWorker::start(1).unwrap();
         let mut lost = scene();
         let (mesh, look) = (Arc::clone(&lost.instances()[0].mesh), lost.instances()[0].material);
         lost.draw(mesh, Pose::translation(f64::NAN, 0.0, 0.0), look);
-        assert!(painter.order(Arc::new(lost)).blocking_recv().is_err());
-        assert!(painter.order(Arc::new(Scene::default())).blocking_recv().is_err());
-        assert!(painter.order(Arc::new(scene())).blocking_recv().is_ok());
-        drop(painter);
+        assert!(worker.order(Arc::new(lost)).blocking_recv().is_err());
+        assert!(worker.order(Arc::new(Scene::default())).blocking_recv().is_err());
+        assert!(worker.order(Arc::new(scene())).blocking_recv().is_ok());
+        drop(worker);
         thread.join().unwrap();
     }
 }

@@ -1,5 +1,5 @@
-//! Sessions as the viewer sees them. A page leaves a window at a session's slot. The session owns the
-//! environments: it looks there after each message and puts into the window what is wanted.
+//! Sessions as the viewer sees them. A page subscribes to a session with a channel. The session owns the
+//! environments: after each message it looks for channels, and sends what is wanted.
 
 use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -11,7 +11,7 @@ use trocar_proto::wire::{ReplyLayout, kind};
 use super::batch::Batch;
 use super::handle::Shared;
 use crate::env::Env;
-use crate::view::source::{About, Mark, Moment, Pace, SessionCard, Source, Window};
+use crate::view::source::{About, FrameChannel, Mark, Moment, Pace, SessionCard, Source};
 
 /// Least time between two moments of the present.
 const PERIOD: Duration = Duration::from_millis(33);
@@ -23,20 +23,20 @@ const SHARE: u32 = 100;
 const MOST_MARKS: usize = 1024;
 
 /// The sessions of a server, for its viewer.
-pub(super) struct Gallery {
+pub(super) struct WatchRegistry {
     about: About,
     sessions: Mutex<BTreeMap<u64, Arc<Shared>>>,
 }
 
-impl Gallery {
+impl WatchRegistry {
     pub(super) fn new(about: About) -> Self {
         Self { about, sessions: Mutex::default() }
     }
 
     /// Shows a session until the guard is dropped.
-    pub(super) fn exhibit(self: &Arc<Self>, id: u64, session: Arc<Shared>) -> Exhibit {
+    pub(super) fn register(self: &Arc<Self>, id: u64, session: Arc<Shared>) -> Registration {
         self.lock().insert(id, session);
-        Exhibit { gallery: Arc::clone(self), id }
+        Registration { watch: Arc::clone(self), id }
     }
 
     fn lock(&self) -> MutexGuard<'_, BTreeMap<u64, Arc<Shared>>> {
@@ -45,7 +45,7 @@ impl Gallery {
     }
 }
 
-impl Source for Gallery {
+impl Source for WatchRegistry {
     fn about(&self) -> About {
         self.about.clone()
     }
@@ -55,7 +55,7 @@ impl Source for Gallery {
         sessions.iter().map(|session| session.card()).collect()
     }
 
-    fn watch(&self, session: u64, env: u32, window: &Arc<Window>) -> Result<(), String> {
+    fn watch(&self, session: u64, env: u32, channel: &Arc<FrameChannel>) -> Result<(), String> {
         let sessions = self.lock();
         let found = sessions.get(&session);
         let found = found.ok_or_else(|| format!("there is no session {session}"))?;
@@ -63,41 +63,41 @@ impl Source for Gallery {
             let last = found.envs() - 1;
             return Err(format!("session {session} has no environment {env}; the last is {last}"));
         }
-        found.slot().open(env, window);
+        found.subscriptions().open(env, channel);
         Ok(())
     }
 }
 
-/// A session that can be watched. When it ends, its windows are closed.
-pub(super) struct Exhibit {
-    gallery: Arc<Gallery>,
+/// A session that can be watched. When it ends, its channels are closed.
+pub(super) struct Registration {
+    watch: Arc<WatchRegistry>,
     id: u64,
 }
 
-impl Drop for Exhibit {
+impl Drop for Registration {
     fn drop(&mut self) {
-        // In this order, so that no page opens a window that stays open.
-        let session = self.gallery.lock().remove(&self.id);
+        // In this order, so that no page opens a channel that stays open.
+        let session = self.watch.lock().remove(&self.id);
         if let Some(session) = session {
-            session.slot().close();
+            session.subscriptions().close();
         }
     }
 }
 
-/// Where windows are left for a session.
+/// The channels through which a session is watched.
 #[derive(Debug, Default)]
-pub(super) struct Slot {
-    /// Whether there is any. All that a session without windows looks at.
+pub(super) struct Subscriptions {
+    /// Whether there is any. All that a session without channels looks at.
     watched: AtomicBool,
-    taps: Mutex<Vec<Tap>>,
+    all: Mutex<Vec<Subscription>>,
 }
 
-/// A window, and how far it has come.
+/// A channel, and how far it has come.
 #[derive(Debug)]
 #[expect(clippy::struct_excessive_bools, reason = "they are independent of each other")]
-struct Tap {
+struct Subscription {
     env: u32,
-    window: Arc<Window>,
+    channel: Arc<FrameChannel>,
     /// What has happened since the moment before.
     marks: Vec<Mark>,
     /// Nothing was shown yet.
@@ -116,17 +116,17 @@ struct Tap {
     due: Instant,
 }
 
-impl Slot {
+impl Subscriptions {
     /// Whether a page watches.
     pub(super) fn is_watched(&self) -> bool {
         self.watched.load(Ordering::Relaxed)
     }
 
-    fn open(&self, env: u32, window: &Arc<Window>) {
-        let mut taps = self.taps.lock().unwrap_or_else(PoisonError::into_inner);
-        taps.push(Tap {
+    fn open(&self, env: u32, channel: &Arc<FrameChannel>) {
+        let mut subscriptions = self.all.lock().unwrap_or_else(PoisonError::into_inner);
+        subscriptions.push(Subscription {
             env,
-            window: Arc::clone(window),
+            channel: Arc::clone(channel),
             marks: vec![],
             is_new: true,
             has_changed: true,
@@ -140,14 +140,14 @@ impl Slot {
     }
 
     fn close(&self) {
-        let mut taps = self.taps.lock().unwrap_or_else(PoisonError::into_inner);
-        taps.drain(..).for_each(|tap| tap.window.close());
+        let mut subscriptions = self.all.lock().unwrap_or_else(PoisonError::into_inner);
+        subscriptions.drain(..).for_each(|subscription| subscription.channel.close());
     }
 
-    /// The windows, unless another thread has them just now: a session does not wait for its pages.
-    fn taps(&self) -> Option<MutexGuard<'_, Vec<Tap>>> {
-        match self.taps.try_lock() {
-            Ok(taps) => Some(taps),
+    /// The channels, unless another thread has them just now: a session does not wait for its pages.
+    fn try_lock(&self) -> Option<MutexGuard<'_, Vec<Subscription>>> {
+        match self.all.try_lock() {
+            Ok(subscriptions) => Some(subscriptions),
             Err(TryLockError::Poisoned(poisoned)) => Some(poisoned.into_inner()),
             Err(TryLockError::WouldBlock) => None,
         }
@@ -159,75 +159,75 @@ impl Slot {
         if kind == kind::SNAPSHOT {
             return;
         }
-        let (Some(mut taps), rows) = (self.taps(), env_ids.len()) else { return };
-        for tap in &mut *taps {
-            let Ok(row) = env_ids.binary_search(&tap.env) else { continue };
+        let (Some(mut subscriptions), rows) = (self.try_lock(), env_ids.len()) else { return };
+        for subscription in &mut *subscriptions {
+            let Ok(row) = env_ids.binary_search(&subscription.env) else { continue };
             let flag = |flags: &[u8]| flags[row] != 0;
             let ended = flag(layout.terminated.view(reply, rows))
                 || flag(layout.truncated.view(reply, rows));
             let steps = layout.steps.view::<u32>(reply, rows)[row];
-            if tap.marks.len() == MOST_MARKS {
-                tap.marks.remove(0);
+            if subscription.marks.len() == MOST_MARKS {
+                subscription.marks.remove(0);
             }
-            tap.marks.push(Mark {
+            subscription.marks.push(Mark {
                 // Where autoreset replaced the episode that ended, the row is of the next one.
                 is_step: kind == kind::STEP && (steps > 0 || ended),
                 reward: layout.reward.view::<f32>(reply, rows)[row],
                 ended,
                 is_success: flag(layout.is_success.view(reply, rows)),
             });
-            (tap.has_changed, tap.has_ended) = (true, ended);
-            tap.has_begun = kind != kind::STEP || steps == 0;
+            (subscription.has_changed, subscription.has_ended) = (true, ended);
+            subscription.has_begun = kind != kind::STEP || steps == 0;
         }
     }
 
-    /// Puts into the windows what is wanted and due.
+    /// Puts into the channels what is wanted and due.
     pub(super) fn show(&self, batch: &Batch) {
-        let Some(mut taps) = self.taps() else { return };
-        taps.retain(|tap| !tap.window.is_closed());
-        if taps.is_empty() {
+        let Some(mut subscriptions) = self.try_lock() else { return };
+        subscriptions.retain(|subscription| !subscription.channel.is_closed());
+        if subscriptions.is_empty() {
             self.watched.store(false, Ordering::Relaxed);
         }
-        let share = SHARE * taps.len() as u32;
-        for tap in &mut *taps {
-            let env = batch.env(tap.env);
-            if tap.has_changed && env.was_reset() {
-                tap.has_changed = false;
-                match tap.window.pace() {
-                    Pace::Live => tap.show_present(env, share),
-                    Pace::Episodes => tap.show_episode(env, share),
+        let share = SHARE * subscriptions.len() as u32;
+        for subscription in &mut *subscriptions {
+            let env = batch.env(subscription.env);
+            if subscription.has_changed && env.was_reset() {
+                subscription.has_changed = false;
+                match subscription.channel.pace() {
+                    Pace::Live => subscription.show_present(env, share),
+                    Pace::Episodes => subscription.show_episode(env, share),
                 }
-                tap.is_new = false;
+                subscription.is_new = false;
             }
         }
     }
 }
 
-impl Tap {
+impl Subscription {
     fn show_present(&mut self, env: &Env, share: u32) {
-        if !self.window.is_wanted() || Instant::now() < self.due {
+        if !self.channel.is_wanted() || Instant::now() < self.due {
             self.has_changed = true;
             return;
         }
         // Before it is there: a page that takes it asks for the next one at once.
-        self.window.fulfil();
+        self.channel.fulfil();
         if self.put(env) {
             self.rest(share);
         } else {
-            self.window.ask();
+            self.channel.ask();
             self.has_changed = true;
         }
     }
 
     /// Goes on with an episode, or begins one. What is watched anew is shown at once.
     fn show_episode(&mut self, env: &Env, share: u32) {
-        let is_due = || self.window.is_wanted() && Instant::now() >= self.due;
+        let is_due = || self.channel.is_wanted() && Instant::now() >= self.due;
         let begins = !self.follows && self.has_begun && is_due();
         if begins {
             let keep = self.marks.len().saturating_sub(1);
             self.marks.drain(..keep);
             self.follows = true;
-            self.window.fulfil();
+            self.channel.fulfil();
         }
         if !self.follows && !self.is_new {
             self.marks.clear();
@@ -235,7 +235,7 @@ impl Tap {
         }
         if !self.put(env) && self.follows {
             self.follows = false;
-            self.window.ask();
+            self.channel.ask();
         }
         // Autoreset may replace an episode by the next one with its last step.
         if self.follows && (self.has_ended || self.has_begun) && !begins {
@@ -244,11 +244,11 @@ impl Tap {
         }
     }
 
-    /// Puts the environment as it is into the window; false where that could not be.
+    /// Puts the environment as it is into the channel; false where that could not be.
     fn put(&mut self, env: &Env) -> bool {
         let start = Instant::now();
         let moment = Moment::of(env, std::mem::take(&mut self.marks));
-        let is_put = self.window.put(moment);
+        let is_put = self.channel.put(moment);
         self.spent += start.elapsed();
         is_put
     }
@@ -263,21 +263,21 @@ impl Tap {
 mod tests {
     use trocar_proto::control::{Autoreset, SessionRequest};
 
-    use super::super::witness::{Tape, Witness};
+    use super::super::observer::{LiveRecording, StepObserver};
     use super::*;
-    use crate::service::batch::Deed;
-    use crate::service::hall::tests::House;
+    use crate::service::batch::BatchCommand;
     use crate::service::rows::Rows;
-    use crate::service::scheduler::Turn;
+    use crate::service::scheduler::tests::TestScheduler;
+    use crate::service::scheduler::{Entity, ThreadQuota};
     use crate::tasks::Registry;
 
-    /// A session's environments and the slot at which they are watched.
+    /// A session's environments, which are watched.
     struct Stage {
         batch: Batch,
         layout: ReplyLayout,
         reply: Vec<u64>,
-        house: House,
-        slot: Slot,
+        test: TestScheduler,
+        subscriptions: Subscriptions,
     }
 
     impl Stage {
@@ -286,37 +286,39 @@ mod tests {
             let batch = Batch::new(&Registry::builtin(), &request).unwrap();
             let layout = ReplyLayout::new(3, batch.spec());
             let reply = vec![0; layout.bytes / 8];
-            let house = House::new("gallery", 1);
-            Self { batch, layout, reply, house, slot: Slot::default() }
+            let test = TestScheduler::new("watch", 1);
+            Self { batch, layout, reply, test, subscriptions: Subscriptions::default() }
         }
 
-        fn apply(&mut self, kind: u32, deed: Deed<'_>, env_ids: &[u32]) {
+        fn apply(&mut self, kind: u32, command: BatchCommand<'_>, env_ids: &[u32]) {
             let reply = bytemuck::cast_slice_mut(&mut self.reply);
             let rows = Rows::of(&self.layout, reply, env_ids.len());
-            let witness = Witness { failures: None, tape: &Tape::default() };
-            let Self { batch, house: House { scheduler, .. }, .. } = self;
-            let apply =
-                |turn: &mut Turn<'_>| batch.apply(deed, env_ids, false, witness, rows, turn);
-            scheduler.alone(&scheduler.user(), apply).unwrap();
-            self.slot.note(kind, env_ids, &self.layout, bytemuck::cast_slice(&self.reply));
-            self.slot.show(&self.batch);
+            let observer = StepObserver { failures: None, recording: &LiveRecording::default() };
+            let Self { batch, test, .. } = self;
+            let entity = Entity::new(&ThreadQuota::new(1));
+            test.compute(&entity, |quantum| {
+                batch.apply(command, env_ids, false, observer, rows, quantum)
+            })
+            .unwrap();
+            self.subscriptions.note(kind, env_ids, &self.layout, bytemuck::cast_slice(&self.reply));
+            self.subscriptions.show(&self.batch);
         }
 
         fn reset(&mut self) {
-            self.apply(kind::RESET, Deed::Reset(None), &[0, 1, 2]);
+            self.apply(kind::RESET, BatchCommand::Reset(None), &[0, 1, 2]);
         }
 
         fn step(&mut self, env_ids: &[u32]) {
-            self.apply(kind::STEP, Deed::Step(&vec![0.5; 3 * env_ids.len()]), env_ids);
+            self.apply(kind::STEP, BatchCommand::Step(&vec![0.5; 3 * env_ids.len()]), env_ids);
         }
     }
 
-    fn taken(window: &Window) -> Vec<Moment> {
-        window.close();
+    fn taken(channel: &FrameChannel) -> Vec<Moment> {
+        channel.close();
         let runtime = tokio::runtime::Builder::new_current_thread().build().unwrap();
         runtime.block_on(async {
             let mut moments = vec![];
-            while let Some(moment) = window.next().await {
+            while let Some(moment) = channel.next().await {
                 moments.push(moment);
             }
             moments
@@ -326,32 +328,32 @@ mod tests {
     #[test]
     fn one_moment_is_shown_for_each_that_is_wanted_and_no_step_is_missed() {
         let mut stage = Stage::new(Autoreset::NextStep);
-        let window = Window::new(Pace::Live);
-        stage.slot.open(1, &window);
-        stage.slot.show(&stage.batch); // never reset: nothing to see
-        window.ask();
+        let channel = FrameChannel::new(Pace::Live);
+        stage.subscriptions.open(1, &channel);
+        stage.subscriptions.show(&stage.batch); // never reset: nothing to see
+        channel.ask();
         stage.reset();
         for _ in 0..7 {
             stage.step(&[0, 1, 2]);
         }
         stage.step(&[0, 2]);
         std::thread::sleep(PERIOD);
-        stage.slot.show(&stage.batch); // not wanted yet
-        window.ask();
+        stage.subscriptions.show(&stage.batch); // not wanted yet
+        channel.ask();
         // However long it takes until this one is due.
-        while window.is_wanted() {
-            stage.slot.show(&stage.batch);
+        while channel.is_wanted() {
+            stage.subscriptions.show(&stage.batch);
         }
-        let moments = taken(&window);
+        let moments = taken(&channel);
         assert_eq!(moments.iter().map(|each| each.steps).collect::<Vec<_>>(), [0, 7]);
         let [first, second] = [0, 1].map(|index| &moments[index].marks);
         assert!(first.len() == 1 && !first[0].is_step);
         assert!(second.len() == 7 && second.iter().all(|mark| mark.is_step && !mark.ended));
         assert_eq!((moments[0].seed, moments[0].episode), (1, 0));
-        // A window that was closed is forgotten, and then no page watches.
-        assert!(stage.slot.is_watched());
+        // A channel that was closed is forgotten, and then no page watches.
+        assert!(stage.subscriptions.is_watched());
         stage.step(&[0, 1, 2]);
-        assert!(!stage.slot.is_watched());
+        assert!(!stage.subscriptions.is_watched());
     }
 
     #[test]
@@ -360,15 +362,15 @@ mod tests {
             let mut stage = Stage::new(autoreset);
             stage.reset();
             stage.step(&[0, 1, 2]);
-            let window = Window::new(Pace::Episodes);
-            stage.slot.open(2, &window);
-            window.ask();
+            let channel = FrameChannel::new(Pace::Episodes);
+            stage.subscriptions.open(2, &channel);
+            channel.ask();
             // The present at once, then the next whole episode, then nothing that is not wanted.
             for _ in 0..160 {
                 stage.step(&[0, 1, 2]);
             }
-            assert!(!window.is_wanted());
-            let moments = taken(&window);
+            assert!(!channel.is_wanted());
+            let moments = taken(&channel);
             let mut expected = vec![2];
             expected.extend(0..50);
             expected.push(if autoreset == Autoreset::NextStep { 50 } else { 0 });
@@ -385,23 +387,23 @@ mod tests {
     #[test]
     fn a_session_does_not_wait_for_who_is_at_its_windows() {
         let mut stage = Stage::new(Autoreset::NextStep);
-        let window = Window::new(Pace::Live);
-        stage.slot.open(0, &window);
-        window.ask();
-        let slot = std::mem::take(&mut stage.slot);
-        let busy = slot.taps.lock().unwrap();
-        slot.note(kind::STEP, &[0], &stage.layout, bytemuck::cast_slice(&stage.reply));
-        slot.show(&stage.batch);
+        let channel = FrameChannel::new(Pace::Live);
+        stage.subscriptions.open(0, &channel);
+        channel.ask();
+        let subscriptions = std::mem::take(&mut stage.subscriptions);
+        let busy = subscriptions.all.lock().unwrap();
+        subscriptions.note(kind::STEP, &[0], &stage.layout, bytemuck::cast_slice(&stage.reply));
+        subscriptions.show(&stage.batch);
         drop(busy);
-        assert!(window.is_wanted() && taken(&window).is_empty());
+        assert!(channel.is_wanted() && taken(&channel).is_empty());
     }
 
     #[test]
     fn a_session_that_ends_closes_its_windows() {
-        let slot = Slot::default();
-        let window = Window::new(Pace::Live);
-        slot.open(0, &window);
-        slot.close();
-        assert!(window.is_closed());
+        let subscriptions = Subscriptions::default();
+        let channel = FrameChannel::new(Pace::Live);
+        subscriptions.open(0, &channel);
+        subscriptions.close();
+        assert!(channel.is_closed());
     }
 }

@@ -68,7 +68,7 @@ impl Failures {
 
 /// What a recorder that attached to a session has asked for and not fetched yet.
 #[derive(Debug, Default)]
-pub(super) struct Tape {
+pub(super) struct LiveRecording {
     /// Looked at in every step, so that the rest costs nothing while no client records.
     running: AtomicBool,
     inner: Mutex<Option<Recording>>,
@@ -86,7 +86,7 @@ struct Recording {
     fetched: Instant,
 }
 
-impl Tape {
+impl LiveRecording {
     /// Begins to record environment `env`, with a state each `every` steps.
     pub(super) fn start(&self, env: u32, every: u32) {
         *self.lock() = Some(Recording {
@@ -158,15 +158,15 @@ impl Tape {
 
 /// What looks on while environments are stepped.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Witness<'a> {
+pub(crate) struct StepObserver<'a> {
     pub(super) failures: Option<&'a Failures>,
-    pub(super) tape: &'a Tape,
+    pub(super) recording: &'a LiveRecording,
 }
 
-impl Witness<'_> {
+impl StepObserver<'_> {
     /// Environment `id` took a step, after which its simulation had failed or not.
     pub(super) fn after_step(self, id: u32, env: &Env, failed: bool) {
-        self.tape.after_step(id, env);
+        self.recording.after_step(id, env);
         if let Some(failures) = self.failures {
             if failed {
                 failures.record(env, "not-finite");
@@ -178,6 +178,6 @@ impl Witness<'_> {
 
     /// Environment `id` is about to be reset or brought to another state.
     pub(super) fn before_leaving(self, id: u32, env: &Env) {
-        self.tape.before_leaving(id, env);
+        self.recording.before_leaving(id, env);
     }
 }

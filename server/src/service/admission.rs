@@ -209,7 +209,7 @@ impl Quota {
 
 /// Judges control messages.
 #[derive(Clone)]
-pub struct Desk {
+pub struct Admission {
     registry: Arc<Registry>,
     info: ServerInfo,
     endpoint: Endpoint,
@@ -217,8 +217,8 @@ pub struct Desk {
     quota: Quota,
 }
 
-impl Desk {
-    /// The desk of one run of a server.
+impl Admission {
+    /// The admission of one run of a server.
     pub fn new(registry: Arc<Registry>, config: &ServerConfig, epoch: u64) -> Self {
         let info = ServerInfo {
             name: config.name.to_string(),
@@ -238,7 +238,7 @@ impl Desk {
     }
 
     /// What to do about a message, where open sessions take `usage`.
-    pub fn judge(&self, header: &Header, payload: &[u8], usage: &Usage) -> Answer {
+    pub fn check(&self, header: &Header, payload: &[u8], usage: &Usage) -> Answer {
         match self.try_judge(header, payload, usage) {
             Ok(answer) => answer,
             Err(refusal) => Answer::Reply(ControlReply::Refused(refusal)),

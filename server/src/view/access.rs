@@ -13,18 +13,18 @@ use tokio::net::{TcpListener, TcpStream};
 use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 
 /// Lets so many connections in at a time; the others wait outside.
-pub(super) struct Door {
+pub(super) struct ConnectionLimit {
     listener: TcpListener,
     places: Arc<Semaphore>,
 }
 
-impl Door {
+impl ConnectionLimit {
     pub(super) fn new(listener: TcpListener, places: usize) -> Self {
         Self { listener, places: Arc::new(Semaphore::new(places)) }
     }
 }
 
-impl Listener for Door {
+impl Listener for ConnectionLimit {
     type Io = Connection;
     type Addr = SocketAddr;
 
@@ -90,12 +90,12 @@ impl AsyncWrite for Connection {
 /// Which requests are answered: a browser lets every page of the web connect to this machine's ports, and
 /// names of the web may lead to this machine.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Guests {
+pub(super) struct AllowedHosts {
     /// It listens on loopback, so that it goes by this machine's names only.
     local: bool,
 }
 
-impl Guests {
+impl AllowedHosts {
     pub(super) fn of(address: SocketAddr) -> Self {
         Self { local: address.ip().is_loopback() }
     }
@@ -138,7 +138,7 @@ mod tests {
             if let Some(origin) = origin {
                 headers.insert(header::ORIGIN, origin.parse().unwrap());
             }
-            Guests::of(address.parse().unwrap()).check(&headers).is_ok()
+            AllowedHosts::of(address.parse().unwrap()).check(&headers).is_ok()
         };
         // A tunnel has any port at its other end.
         for host in ["localhost:9000", "127.0.0.1:8080", "[::1]:8080", "LOCALHOST", "127.0.0.1"] {
