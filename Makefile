@@ -106,7 +106,7 @@ bits: ## server/tests/fixtures/bits.bin: records its episodes anew; only when ph
 # ---- Checking ----
 
 .PHONY: test
-test: lint test-rust test-python test-wheels ## * all that CI runs: lints, Rust, Python, wheels; test-faults where strace is
+test: lint test-rust test-loom test-python test-wheels ## * all that CI runs: lints, Rust, Python, wheels; test-faults where strace is
 	@if command -v strace > /dev/null; then $(MAKE) test-faults; else echo 'left out: test-faults needs strace (apt install strace)'; fi
 
 .PHONY: lint
@@ -133,6 +133,10 @@ lint-prose:
 .PHONY: test-rust
 test-rust: ## Rust: unit, task suite, command, multi-process (reduced counts)
 	TROCAR_BINARY=$(TARGET)/debug/trocar $(CARGO) test $(RUST)
+
+.PHONY: test-loom
+test-loom: ## every order in which threads can wake each other up, by loom: no wake-up is lost
+	$(CARGO) test --locked -p trocar-proto --features loom --test loom
 
 # Every 17th call; in `make soak` all of them.
 .PHONY: test-faults
