@@ -74,7 +74,7 @@ policies: .venv-rl/ready ## * assets/policies: the best policies of the runs in 
 # What `experts_do_as_well_as_the_table_says_and_stay_in_bounds` expects.
 .PHONY: experts
 experts: ## server/tests/fixtures/experts.tsv: with which seeds the scripted experts fail
-	TROCAR_WRITE_EXPERTS=1 $(CARGO) test --locked -p trocar-server --test experts
+	TROCAR_WRITE_EXPERTS=1 $(CARGO) test --locked -p trocar-server --test server experts::
 
 .PHONY: picture-viewer
 picture-viewer: $(VENV)/ready ## * assets/pictures/viewer.png: the live viewer, as test-browser sees it
@@ -101,7 +101,7 @@ experts-table: ## how often the scripted experts succeed with arms that are late
 # TROCAR_BITS=starts: only the episodes whose start is the expert's work.
 .PHONY: bits
 bits: ## server/tests/fixtures/bits.bin: records its episodes anew; only when physics changes on purpose
-	TROCAR_BITS=$${TROCAR_BITS:-all} $(CARGO) test --locked -p trocar-server --test bits -- --ignored --exact write_the_file
+	TROCAR_BITS=$${TROCAR_BITS:-all} $(CARGO) test --locked -p trocar-server --test server -- --ignored --exact bits::write_the_file
 
 # ---- Checking ----
 

@@ -1,7 +1,5 @@
 //! What is seen between the ends of steps: nothing jumps, and looking changes nothing.
 
-#![allow(clippy::unwrap_used)] // a panic is a test's report
-
 use std::collections::BTreeSet;
 
 use nalgebra::Vector3;

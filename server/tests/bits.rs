@@ -11,8 +11,6 @@
 //! writes hashes of observations alone, where a range of one was wrong: it refuses where anything else differs.
 //! `TROCAR_BITS=encoders make bits` writes hashes of episodes whose encoders err, and keeps their actions.
 
-#![expect(clippy::unwrap_used, reason = "a panic is a test's report, in its helpers too")]
-
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
@@ -24,11 +22,8 @@ use trocar_server::tasks::Registry;
 use format::{Episode, HASHED, Mark, decode, encode, json_of};
 use player::Player;
 
-#[path = "bits/episodes.rs"]
 mod episodes;
-#[path = "bits/format.rs"]
 mod format;
-#[path = "bits/player.rs"]
 mod player;
 
 /// Size that the file may have, bytes.

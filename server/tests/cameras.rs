@@ -1,7 +1,5 @@
 //! Cameras of observations as data: what the specification says of them is where they are.
 
-#![expect(clippy::unwrap_used, reason = "a panic is a test's report, in its helpers too")]
-
 use nalgebra::{Matrix3x4, Point3, Vector3, Vector4};
 use trocar_proto::spec::ImageSpec;
 use trocar_proto::{Code, OptionValue, Options};

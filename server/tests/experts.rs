@@ -8,8 +8,6 @@
 //! these episodes may a number leave its bounds. Where friction alone is to hold objects, no constraint but the
 //! fingers' hinges may ever be in the world.
 
-#![expect(clippy::unwrap_used, reason = "a panic is a test's report, in its helpers too")]
-
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 

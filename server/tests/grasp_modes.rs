@@ -1,7 +1,7 @@
 //! How exactly the jaws must be placed for each grasp mode to lift a needle.
 //!
 //! In every trial the needle lies somewhere else, the jaws close a given distance off the ideal place
-//! and then rise by 40 mm. `TROCAR_SOAK=1 cargo test --release --test grasp_modes -- --nocapture` prints
+//! and then rise by 40 mm. `TROCAR_SOAK=1 cargo test --release --test server grasp_modes:: -- --nocapture` prints
 //! the table of `server/GRASPING.md` as Markdown.
 
 use std::f64::consts::{FRAC_PI_2, PI};

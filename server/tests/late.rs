@@ -1,7 +1,5 @@
 //! Experts of arms that are late, wrong or disturbed: they count on what is in flight, and go on after a miss.
 
-#![expect(clippy::unwrap_used, reason = "a panic is a test's report, in its helpers too")]
-
 use std::collections::BTreeMap;
 
 use trocar_proto::spec::Allowed;

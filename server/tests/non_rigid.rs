@@ -1,7 +1,5 @@
 //! Bodies of another kind than rigid join a world: a rope of point masses that falls onto a floor.
 
-#![expect(clippy::unwrap_used, reason = "a panic is a test's report, in its helpers too")]
-
 use nalgebra::{Point3, Vector3};
 use trocar_proto::goal::Reward;
 use trocar_proto::relative::Relative;

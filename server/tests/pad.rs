@@ -2,8 +2,6 @@
 //!
 //! `TROCAR_SOAK=1` plays more seeds. `--nocapture` shows how many succeed.
 
-#![expect(clippy::unwrap_used, reason = "a panic is a test's report, in its helpers too")]
-
 use nalgebra::Vector3;
 use rayon::prelude::*;
 use trocar_proto::spec::OptionSpec;

@@ -1,8 +1,6 @@
 //! Targets that are sought in the endoscope's picture: how well they are found, and what an expert makes of it
 //! that knows no more. `TROCAR_SOAK=1` for all 200 seeds; `--nocapture` prints what failed.
 
-#![expect(clippy::unwrap_used, reason = "a panic is a test's report, in its helpers too")]
-
 use rayon::prelude::*;
 use trocar_proto::{Code, OptionValue, Options};
 use trocar_server::Env;

@@ -1,7 +1,5 @@
 //! The words `relative` and `contact` of the option `observation`.
 
-#![expect(clippy::unwrap_used, reason = "a panic is a test's report, in its helpers too")]
-
 use std::collections::BTreeMap;
 
 use trocar_proto::{OptionValue, Options};

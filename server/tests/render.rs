@@ -1,7 +1,5 @@
 //! Pictures agree with geometry: depth and bodies with rays, points with places, bytes with each other.
 
-#![expect(clippy::unwrap_used, reason = "a panic is a test's report, in its helpers too")]
-
 use std::collections::BTreeSet;
 
 use nalgebra::{Point3, Vector3};

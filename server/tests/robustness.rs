@@ -5,8 +5,6 @@
 //! 1,000,000 environment steps over all tasks instead of 20,000; `TROCAR_TASK=NeedlePick-v0` only what
 //! of these is for that task.
 
-#![expect(clippy::unwrap_used, reason = "a panic is a test's report, in its helpers too")]
-
 use std::collections::BTreeMap;
 
 use trocar_proto::Options;

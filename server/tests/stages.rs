@@ -1,7 +1,5 @@
 //! Experts say what they are about: the stages of each task, in the order in which they are gone through.
 
-#![expect(clippy::unwrap_used, reason = "a panic is a test's report, in its helpers too")]
-
 use trocar_proto::{Options, Stage};
 use trocar_server::tasks::Registry;
 

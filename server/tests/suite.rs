@@ -1,7 +1,5 @@
 //! Every registered task, in-process, under every option that changes what it does.
 
-#![expect(clippy::unwrap_used, reason = "a panic is a test's report, in its helpers too")]
-
 use std::collections::BTreeMap;
 
 use trocar_proto::snapshot::Recipe;
@@ -12,7 +10,6 @@ use trocar_server::error::StepError;
 use trocar_server::sim::random::Rng;
 use trocar_server::tasks::Registry;
 
-#[path = "suite/domain.rs"]
 mod domain;
 
 /// What an environment shows after a reset or step.

@@ -1,8 +1,6 @@
 //! Time belongs to the environment: rates, late and disturbed commands, arms that are driven from outside, pictures
 //! between steps.
 
-#![expect(clippy::unwrap_used, reason = "a panic is a test's report, in its helpers too")]
-
 use std::collections::BTreeMap;
 
 use nalgebra::UnitQuaternion;

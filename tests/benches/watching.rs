@@ -25,7 +25,7 @@ use trocar_client::{Autoreset, Session, SessionRequest};
 use tungstenite::{Message, WebSocket};
 
 /// About how long each session steps in a round.
-const TURN: Duration = Duration::from_millis(400);
+const ROUND_PART: Duration = Duration::from_millis(400);
 
 const NAMES: [&str; 4] = ["without a viewer", "nobody looks", "watched live", "episodes watched"];
 
@@ -56,7 +56,7 @@ fn main() {
     let mut steps = 8;
     let start = Instant::now();
     run(&mut sessions[0], &mut actions[0], steps);
-    let longer = TURN.as_secs_f64() / start.elapsed().as_secs_f64();
+    let longer = ROUND_PART.as_secs_f64() / start.elapsed().as_secs_f64();
     for index in 1..NAMES.len() {
         run(&mut sessions[index], &mut actions[index], steps);
     }

@@ -123,7 +123,7 @@ mod model {
     pub struct ModelFutex {
         word: AtomicU32,
         sleepers: Mutex<()>,
-        woken: Condvar,
+        condition: Condvar,
     }
 
     impl FutexWord for ModelFutex {
@@ -147,7 +147,7 @@ mod model {
             // The kernel compares and falls asleep under a lock that a waking thread takes, too.
             let sleepers = self.sleepers.lock().expect("no thread panics with it");
             if self.word.load(Ordering::Acquire) == seen {
-                drop(self.woken.wait(sleepers).expect("no thread panics with it"));
+                drop(self.condition.wait(sleepers).expect("no thread panics with it"));
             }
             WaitOutcome::Woken
         }
@@ -155,9 +155,9 @@ mod model {
         fn wake(&self, count: u32) {
             let sleepers = self.sleepers.lock().expect("no thread panics with it");
             if count == 1 {
-                self.woken.notify_one();
+                self.condition.notify_one();
             } else {
-                self.woken.notify_all();
+                self.condition.notify_all();
             }
             drop(sleepers);
         }

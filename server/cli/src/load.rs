@@ -59,7 +59,7 @@ server. Beside other clients, only sessions are looked at. Half of the environme
 expert, the others act at random.
 
 With --others, the share of the first client implies that a message takes its own computation and one
-turn of each other client, on as many threads as there are cores; a turn counts as a step of one of their
+quantum of each other client, on as many threads as there are cores; a quantum counts as a step of one of their
 environments, but at least 1 ms. Both are measured in the twins, that is under the same load.
 
 With --json: {clients, envs, steps, steps_per_second, p50_us, p99_us,

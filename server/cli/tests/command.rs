@@ -1,7 +1,5 @@
 //! The command as a user meets it: exit codes, streams, JSON fields.
 
-#![allow(clippy::unwrap_used)] // a panic is a test's report
-
 use std::process::{Child, Command, Output, Stdio};
 use std::time::{Duration, Instant};
 

@@ -1,7 +1,5 @@
 //! `trocar demos`: what it checks before Python has its turn. What it records, Python's tests look at.
 
-#![allow(clippy::unwrap_used)] // a panic is a test's report
-
 use std::process::{Command, Output};
 
 fn demos(python: &str, arguments: &[&str]) -> Output {

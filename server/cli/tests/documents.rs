@@ -1,7 +1,5 @@
 //! The documents keep their word: the Rust quick start runs as pasted, the task table is the registry's.
 
-#![allow(clippy::unwrap_used)] // a panic is a test's report
-
 use std::path::Path;
 use std::process::Command;
 

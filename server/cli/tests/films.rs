@@ -1,7 +1,5 @@
 //! Moving pictures: as long as the episode at every rate, and the same of a recording.
 
-#![allow(clippy::unwrap_used)] // a panic is a test's report
-
 use std::fs::File;
 use std::path::PathBuf;
 use std::process::Command;

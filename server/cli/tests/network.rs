@@ -1,7 +1,5 @@
 //! `trocar rollout --policy FILE.onnx`, with networks that are written here, number by number.
 
-#![allow(clippy::unwrap_used)] // a panic is a test's report
-
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Output, Stdio};
 use std::time::{Duration, Instant};

@@ -3,8 +3,6 @@
 //! `make pictures` writes them anew. Where one differs, the test leaves a sheet with what was expected, what
 //! was found, and their difference.
 
-#![allow(clippy::unwrap_used)] // a panic is a test's report
-
 use std::path::{Path, PathBuf};
 use std::process::Command;
 

@@ -1,7 +1,5 @@
 //! Recordings: what was played comes again bit by bit, also what a trainer did in a server.
 
-#![allow(clippy::unwrap_used)] // a panic is a test's report
-
 use std::io::{BufRead, BufReader, Read, Write};
 use std::net::TcpStream;
 use std::path::PathBuf;

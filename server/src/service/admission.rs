@@ -239,13 +239,13 @@ impl Admission {
 
     /// What to do about a message, where open sessions take `usage`.
     pub fn check(&self, header: &Header, payload: &[u8], usage: &Usage) -> Answer {
-        match self.try_judge(header, payload, usage) {
+        match self.try_check(header, payload, usage) {
             Ok(answer) => answer,
             Err(refusal) => Answer::Reply(ControlReply::Refused(refusal)),
         }
     }
 
-    fn try_judge(
+    fn try_check(
         &self,
         header: &Header,
         payload: &[u8],

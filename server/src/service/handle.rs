@@ -108,8 +108,8 @@ impl Shared {
 pub(super) struct Pace {
     /// Time per message, µs.
     latency: Histogram<u64>,
-    window_start: Instant,
-    window_steps: u64,
+    span_start: Instant,
+    span_steps: u64,
     steps_per_second: f64,
     /// How episodes ended, where any thread may look.
     pub(super) tally: Tally,
@@ -220,13 +220,13 @@ impl Pace {
     const LONGEST_US: u64 = 60_000_000;
 
     /// Span over which steps per second are counted.
-    const WINDOW: Duration = Duration::from_secs(1);
+    const SPAN: Duration = Duration::from_secs(1);
 
     pub(super) fn new() -> Self {
         Self {
             latency: Histogram::new_with_max(Self::LONGEST_US, 2).expect("2 digits are allowed"),
-            window_start: Instant::now(),
-            window_steps: 0,
+            span_start: Instant::now(),
+            span_steps: 0,
             steps_per_second: 0.0,
             tally: Tally::default(),
         }
@@ -234,20 +234,20 @@ impl Pace {
 
     pub(super) fn note(&mut self, start: Instant, steps: u64) {
         self.latency.saturating_record(start.elapsed().as_micros() as u64);
-        self.window_steps += steps;
-        let span = self.window_start.elapsed();
-        if span >= Self::WINDOW {
-            self.steps_per_second = self.window_steps as f64 / span.as_secs_f64();
-            self.window_start = Instant::now();
-            self.window_steps = 0;
+        self.span_steps += steps;
+        let span = self.span_start.elapsed();
+        if span >= Self::SPAN {
+            self.steps_per_second = self.span_steps as f64 / span.as_secs_f64();
+            self.span_start = Instant::now();
+            self.span_steps = 0;
         }
     }
 
-    /// The rate of the last full window, or of the present one where that says more.
+    /// The rate of the last full span, or of the present one where that says more.
     fn steps_per_second(&self) -> f64 {
-        let span = self.window_start.elapsed();
-        if span >= Self::WINDOW || self.steps_per_second == 0.0 {
-            return self.window_steps as f64 / span.as_secs_f64().max(1e-3);
+        let span = self.span_start.elapsed();
+        if span >= Self::SPAN || self.steps_per_second == 0.0 {
+            return self.span_steps as f64 / span.as_secs_f64().max(1e-3);
         }
         self.steps_per_second
     }

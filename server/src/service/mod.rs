@@ -204,7 +204,7 @@ pub fn serve(
     if let Some(cpus) = &config.cpus {
         cpus.pin()?;
     }
-    heap::limit();
+    heap::limit(config.threads);
     raise_file_limit();
     let endpoint = Endpoint::new(&config.name);
     let folder =

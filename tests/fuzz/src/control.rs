@@ -19,7 +19,7 @@ use crate::input::Input;
 /// Memory that all sessions may take, bytes.
 const BUDGET: u64 = 64 << 20;
 
-static DESK: LazyLock<Admission> = LazyLock::new(|| {
+static ADMISSION: LazyLock<Admission> = LazyLock::new(|| {
     let config = ServerConfig {
         memory_bytes: BUDGET,
         max_envs: 64,
@@ -50,7 +50,7 @@ pub(crate) fn run(data: &[u8]) {
         sessions: 3,
         ..Usage::default()
     };
-    match DESK.check(&header, bytes, &usage) {
+    match ADMISSION.check(&header, bytes, &usage) {
         Answer::Reply(ControlReply::Refused(refusal)) => check(&refusal),
         Answer::Reply(reply) => {
             let told = encode(&reply).expect("a client can be told");
@@ -180,7 +180,7 @@ fn replies() -> Vec<ControlReply> {
     let info =
         SessionInfo { session: 1, epoch: 2, slot: 3, envs: 4, spec: spec.clone(), view: None };
     vec![
-        ControlReply::Hello(DESK.info().clone()),
+        ControlReply::Hello(ADMISSION.info().clone()),
         ControlReply::Tasks(REGISTRY.ids().map(str::to_string).collect()),
         ControlReply::Task(spec.into()),
         ControlReply::Opened(info.into()),

@@ -6,8 +6,8 @@ use super::Load;
 use super::fleet::Slot;
 use crate::output;
 
-/// What a turn of another client counts at least, µs: half of what the server's turns last.
-const TURN_US: f64 = 1000.0;
+/// What a quantum of another client counts at least, µs: half of what the server's quanta last.
+const QUANTUM_US: f64 = 1000.0;
 
 /// How many problems of a kind are told in words.
 const TOLD: usize = 5;
@@ -89,13 +89,13 @@ struct Beside {
     /// What its share of the threads implies, µs.
     share_us: f64,
     #[serde(skip)]
-    /// What a turn of the others takes, µs.
-    turn: f64,
+    /// What a quantum of the others takes, µs.
+    quantum: f64,
 }
 
 impl Beside {
-    /// In the worst case every other client has a turn before the first one's message has its own. A turn
-    /// counts [`TURN_US`], or as long as one environment of the others takes for a step if that is more.
+    /// In the worst case every other client has a quantum before the first one's message has its own. A quantum
+    /// counts [`QUANTUM_US`], or as long as one environment of the others takes for a step if that is more.
     fn new(slots: &[Slot], envs: u32, threads: usize) -> Option<Self> {
         let (first, others) = slots.split_first()?;
         let messages: u64 = others.iter().map(|slot| slot.latencies.len()).sum();
@@ -105,11 +105,11 @@ impl Beside {
         }
         let own_us = first.twin_seconds * 1e6 / first.latencies.len() as f64;
         let step_us = seconds * 1e6 / (messages as f64 * f64::from(envs));
-        let turn = step_us.max(TURN_US);
+        let quantum = step_us.max(QUANTUM_US);
         Some(Self {
             first_p99_us: first.latencies.value_at_quantile(0.99) as f64 / 1000.0,
-            share_us: own_us + others.len() as f64 * turn / threads as f64,
-            turn,
+            share_us: own_us + others.len() as f64 * quantum / threads as f64,
+            quantum,
         })
     }
 }
@@ -195,11 +195,11 @@ impl Summary {
             "latency of a message: p50 {:.0} µs, p99 {:.0} µs; fairness (Jain) {:.3}",
             self.p50_us, self.p99_us, self.jain
         );
-        if let Some(Beside { first_p99_us, share_us, turn }) = &self.beside {
+        if let Some(Beside { first_p99_us, share_us, quantum }) = &self.beside {
             let times = first_p99_us / share_us;
             eprintln!(
                 "client 1 beside the others: p99 {first_p99_us:.0} µs, {times:.1} × the \
-                 {share_us:.0} µs that its share implies (turns of {turn:.0} µs)"
+                 {share_us:.0} µs that its share implies (quanta of {quantum:.0} µs)"
             );
         }
         let memory = self.server_memory_bytes.map_or("–".into(), output::mebibytes);

@@ -125,7 +125,7 @@ impl RunQueue {
     pub(super) fn pop(&mut self) -> Option<Runnable> {
         let next = self.next().filter(|_| self.free > 0)?;
         let Entry { entity, runnable, .. } = self.waiting.remove(next);
-        self.grant(&entity, 1);
+        self.give(&entity, 1);
         Some(runnable)
     }
 
@@ -133,7 +133,7 @@ impl RunQueue {
     pub(super) fn take_more(&mut self, entity: &Entity, most: usize) -> usize {
         let claimed = self.waiting.iter().filter(|entry| entry.may_run()).count();
         let permits = self.free.saturating_sub(claimed).min(most).min(entity.quota.left());
-        self.grant(entity, permits);
+        self.give(entity, permits);
         permits
     }
 
@@ -157,7 +157,7 @@ impl RunQueue {
         self.waiting.iter().rposition(Entry::may_run)
     }
 
-    fn grant(&mut self, entity: &Entity, permits: usize) {
+    fn give(&mut self, entity: &Entity, permits: usize) {
         let vruntime = entity.vruntime.fetch_max(self.clock, Ordering::Relaxed);
         self.clock = self.clock.max(vruntime);
         entity.quota.used.fetch_add(permits, Ordering::Relaxed);

@@ -1,0 +1,24 @@
+//! What the simulation and its tasks do, in one program; `fuzz.rs` is another, since it looks at the memory of its process.
+//! `cargo test -p trocar-server --test server grasp::` runs one file.
+
+#![allow(clippy::unwrap_used)] // a panic is a test's report
+
+mod assets;
+mod between;
+mod bits;
+mod cameras;
+mod experts;
+mod grasp;
+mod grasp_modes;
+mod late;
+mod mechanics;
+mod non_rigid;
+mod pad;
+mod perceived;
+mod placement;
+mod relative;
+mod render;
+mod robustness;
+mod stages;
+mod suite;
+mod time;
