@@ -257,6 +257,15 @@ bench-plot: release $(PLOT_VENV)/ready ## * assets/pictures/throughput.png: rate
 	$(PLOT_VENV)/bin/python client-py/benches/plot_throughput.py assets/pictures/throughput.png \
 		< $(TARGET)/throughput.jsonl
 
+# CORES="1 2 4 8 16": with how many threads; all those of the machine should be idle.
+.PHONY: bench-cores
+bench-cores: $(PLOT_VENV)/ready ## * assets/pictures/cores.png: one session of 256 environments on more and more threads
+	$(CARGO) build --release --locked -p trocar
+	for round in 1 2 3; do for task in NeedlePick-v0 BiPegTransfer-v0; do for threads in $${CORES:-1 2}; do \
+		$(TARGET)/release/trocar bench --quick --json --mode client_rs --policy oracle --envs 256 --task $$task --threads $$threads; \
+	done; done; done > $(TARGET)/cores.jsonl
+	$(PLOT_VENV)/bin/python client-py/benches/plot_cores.py assets/pictures/cores.png < $(TARGET)/cores.jsonl
+
 # ---- Keeping house ----
 
 .PHONY: fmt
