@@ -24,10 +24,12 @@ WHEEL_VENV := .venv-wheels
 WHEEL_BIN := $(abspath $(WHEEL_VENV)/bin)
 # What plots need.
 PLOT_VENV := .venv-plot
-# With the wheels, tasks that grasp are left out: what they add takes long and is not Gymnasium's.
-WHEEL_TESTS := "not stubs and not Pick and not Peg and not Regrasp and not Gauze"
+# With the wheels, what depends on Gymnasium and on how the package is installed. Tasks that grasp are left out: what they
+# add takes long and is neither's.
+WHEEL_TESTS := $(addprefix tests/test_,$(addsuffix .py,conventions env front_door goals package reset_options seeds vector)) \
+	-k "not stubs and not Pick and not Peg and not Regrasp and not Gauze"
 # Python files under ruff, as seen from client-py/, whose pyproject.toml has the rules.
-PYTHON_CODE := . ../tests/prose.py ../server/cli/src/demo ../server/cli/src/bench ../server/cli/src/load ../server/view/tests
+PYTHON_CODE := . ../tests/prose.py ../tests/vocabulary.py ../server/cli/src/demo ../server/cli/src/bench ../server/cli/src/load ../server/view/tests
 # What people train with, each with the Gymnasium that it needs.
 RL_BIN := $(abspath .venv-rl/bin)
 RLLIB_BIN := $(abspath .venv-rllib/bin)
@@ -109,6 +111,17 @@ bits: ## server/tests/fixtures/bits.bin: records its episodes anew; only when ph
 test: lint test-rust test-loom test-python test-wheels ## * all that CI runs: lints, Rust, Python, wheels; test-faults where strace is
 	@if command -v strace > /dev/null; then $(MAKE) test-faults; else echo 'left out: test-faults needs strace (apt install strace)'; fi
 
+# Leaves out what takes minutes: experts over many seeds, adversaries, killed processes, packages.
+FAST_SKIP := $(foreach name,bits:: experts:: robustness:: render:: grasp:: nothing_explodes every_option,--skip $(name))
+FAST_PYTHON := $(addprefix tests/test_,$(addsuffix .py,arrays conventions env errors features goals package seeds))
+
+.PHONY: test-fast
+test-fast: lint-prose develop ## * the inner loop: unit tests, the suite and clients, in three minutes once all is built
+	$(CARGO) test $(RUST) --lib --bins
+	$(CARGO) test --locked -p trocar-server --test server -- $(FAST_SKIP)
+	TROCAR_BINARY=$(TARGET)/debug/trocar $(CARGO) test --locked -p trocar-tests --test trocar -- conformance:: parity:: rows:: refusals::
+	cd client-py && TROCAR_BINARY=$(TARGET)/debug/trocar $(BIN)/python -m pytest -q $(FAST_PYTHON)
+
 .PHONY: lint
 lint: lint-rust lint-python lint-viewer lint-prose ## * formatting, clippy, ruff, generated assets, prose
 
@@ -129,6 +142,7 @@ lint-viewer:
 .PHONY: lint-prose
 lint-prose:
 	$(PYTHON) tests/prose.py
+	$(PYTHON) tests/vocabulary.py
 
 .PHONY: test-rust
 test-rust: ## Rust: unit, task suite, command, multi-process (reduced counts)
@@ -146,7 +160,7 @@ test-faults: ## calls of the kernel fail, one after the other, by strace, which 
 
 .PHONY: test-python
 test-python: develop ## * Python with the newest Gymnasium: types, stubs, tests
-	cd client-py && $(BIN)/mypy && $(BIN)/mypy ../tests/prose.py && for worker in demo bench load; do $(BIN)/mypy ../server/cli/src/$$worker/worker.py; done
+	cd client-py && $(BIN)/mypy && $(BIN)/mypy ../tests/prose.py ../tests/vocabulary.py && for worker in demo bench load; do $(BIN)/mypy ../server/cli/src/$$worker/worker.py; done
 	cd client-py && TROCAR_BINARY=$(TARGET)/debug/trocar $(BIN)/python -m pytest
 	TROCAR_PYTHON=$(BIN)/python $(CARGO) test $(RUST) --test load python_clients
 
@@ -160,7 +174,7 @@ test-wheels: $(VENV)/ready ## * both wheels with the oldest Gymnasium, without R
 	$(WHEEL_BIN)/python $(PIP_INSTALL) --no-index --find-links $(TARGET)/test-wheels trocar
 	cd / && PATH=$(WHEEL_BIN) trocar --version
 	cd / && PATH=$(WHEEL_BIN) python $(CURDIR)/client-py/examples/random_policy.py
-	cd client-py && PATH=$(WHEEL_BIN):/usr/bin:/bin python -m pytest tests -k $(WHEEL_TESTS)
+	cd client-py && PATH=$(WHEEL_BIN):/usr/bin:/bin python -m pytest $(WHEEL_TESTS)
 
 # Where Node is, also whether the page is what its sources give.
 .PHONY: test-browser
