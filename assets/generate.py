@@ -28,8 +28,8 @@ def generate() -> dict[str, str]:
         files |= classic.files(urdf_name)
         files |= ecm.model(ecm.SI, urdf_name, classic).files(urdf_name)
     objects = [scene.needle(), gauze.gauze(), peg_transfer.block()]
-    furniture = [scene.pad(), scene.tray(), scene.table(), peg_transfer.pegboard()]
-    for model in objects + furniture:
+    static_bodies = [scene.pad(), scene.tray(), scene.table(), peg_transfer.pegboard()]
+    for model in objects + static_bodies:
         files |= model.files()
     for urdf_name in cube.EDGES:
         files |= cube.cube(urdf_name).files(urdf_name)

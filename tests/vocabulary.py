@@ -70,6 +70,8 @@ ORDINARY = {
         *("HALF_TURN", "STEP_TURN", "STILL_TURN"),
     },
     "turns": {"turns"},
+    # How far a spring gives way.
+    "travel": {"travel"},
     # A step of a search through a graph.
     "visit": {"visit"},
     # On a screen, or of time.

@@ -183,7 +183,7 @@ fn run(trial: Trial, seed: u64) -> Outcome {
         let speed = go(&mut arm, &mut world, tip, yaw, JAW_CLOSED, 1);
         watch(&arm, &world, speed);
     }
-    assert_eq!(world.joints().count(), 2, "no constraint ever ties an object to a jaw");
+    assert_eq!(world.joints().count(), 2, "no constraint ever attaches an object to a jaw");
     outcome
 }
 

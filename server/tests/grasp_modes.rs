@@ -31,7 +31,7 @@ const WIRE: f64 = 1e-3;
 /// The needle's middle must rise by this much to count as lifted, m, of 40 mm.
 const LIFTED: f64 = 0.03;
 
-/// Height of the needle's middle from which `weld` ties it, m above where it lay. Source: the original.
+/// Height of the needle's middle from which `weld` attaches it, m above where it lay. Source: the original.
 const WELD_LIFT: f64 = 0.005;
 
 /// Errors that no mode is told of: turn and place along the arc, rad.

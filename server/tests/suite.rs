@@ -93,14 +93,15 @@ fn make((id, options): &(String, Options)) -> Env {
 /// Whether an element changes under these options, as the task's documentation says; none where it may or may not.
 fn varies((id, options): &(String, Options), element: &Element) -> Option<bool> {
     let paper = options.text("action").is_none_or(|mode| mode == "paper");
-    // Fingers pass through an object that a tie will hold, which is carried as it lay; so is a heavy one
-    // that is tied when it is lifted. Until then it may rock.
-    let tied = options.text("grasp") == Some("approx") || options.text("preset") == Some("surrol");
+    // Fingers pass through an object that an attachment will hold, which is carried as it lay; so is a heavy one
+    // that is attached when it is lifted. Until then it may rock.
+    let attached =
+        options.text("grasp") == Some("approx") || options.text("preset") == Some("surrol");
     let objects = ["mid arc", "crest", "wall 1", "wall 2"];
     let is_tilt = objects.iter().any(|object| {
         ["roll", "pitch"].iter().any(|angle| element.name == format!("{object} {angle}"))
     });
-    if paper && tied && (is_tilt || element.name == "crest yaw") {
+    if paper && attached && (is_tilt || element.name == "crest yaw") {
         return None;
     }
     let constant: &[&str] = match id.as_str() {

@@ -1,13 +1,13 @@
-//! What holds an object in the jaws: friction alone, or, to compare with others, a tie.
+//! What holds an object in the jaws: friction alone, or, to compare with others, an attachment.
 //!
 //! | mode | the object is held by |
 //! |---|---|
 //! | [`GraspMode::Interact`] | friction, and nothing else ever |
-//! | [`GraspMode::Approx`] | a tie, as soon as jaws are told to close whose tip is near its surface; fingers do not meet it |
-//! | [`GraspMode::Weld`] | friction until it is lifted, then a tie; it lets go when no finger touches |
+//! | [`GraspMode::Approx`] | an attachment, as soon as jaws are told to close whose tip is near its surface; fingers do not meet it |
+//! | [`GraspMode::Weld`] | friction until it is lifted, then an attachment; it lets go when no finger touches |
 //!
-//! A tie holds the object where it is to the wrist, until the jaws are told to open. One arm at a
-//! time has a tie.
+//! An attachment holds the object where it is to the wrist, until the jaws are told to open. One arm at a
+//! time has an attachment.
 
 use super::instrument::Instrument;
 use super::world::{BodyId, World};
@@ -22,7 +22,7 @@ pub enum GraspMode {
         /// From the tip of the closed jaws to the object's surface, m.
         distance: f64,
     },
-    /// Friction, then a tie. What the original calls Interact.
+    /// Friction, then an attachment. What the original calls Interact.
     Weld,
 }
 
@@ -60,7 +60,7 @@ impl Grasp {
     ) {
         for (index, (arm, closing)) in arms.iter_mut().zip(closing).enumerate() {
             if !closing {
-                arm.untie(world);
+                arm.detach(world);
                 self.seized_by = self.seized_by.filter(|by| *by != index);
             }
         }
@@ -72,7 +72,7 @@ impl Grasp {
                 GraspMode::Approx { distance } if closing => {
                     let tip = arm.posture().world_from_tip().translation.vector.into();
                     if world.distance(self.object, &tip) <= distance {
-                        arm.tie(world, self.object);
+                        arm.attach(world, self.object);
                         return;
                     }
                 }
@@ -85,7 +85,7 @@ impl Grasp {
         }
     }
 
-    /// What happens after arms moved; `is_lifted` tells whether a tie may replace friction.
+    /// What happens after arms moved; `is_lifted` tells whether an attachment may replace friction.
     pub fn settle<const N: usize>(
         &mut self,
         world: &mut World,
@@ -97,16 +97,16 @@ impl Grasp {
         }
         for (index, arm) in arms.iter_mut().enumerate() {
             if self.seized_by != Some(index) {
-                continue; // what else ties the object is not the business of this mode
+                continue; // what else attaches the object is not the business of this mode
             }
             if arm.is_tied_to(self.object) {
                 if arm.fingers_touching(world, self.object) == 0 {
-                    arm.untie(world);
+                    arm.detach(world);
                     self.seized_by = None;
                 }
             } else if is_lifted {
                 if arm.holds(world, self.object) {
-                    arm.tie(world, self.object);
+                    arm.attach(world, self.object);
                 } else {
                     self.seized_by = None;
                 }

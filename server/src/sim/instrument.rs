@@ -16,7 +16,7 @@ use nalgebra::{Point3, Unit, UnitQuaternion, Vector3};
 
 use super::frames::{self, Aabb, Pose};
 use super::world::{
-    BodyId, Hinge, HingedId, Motion, Overlap, PREDICTION, Part, Push, Shape, TieId, World,
+    AttachmentId, BodyId, Hinge, HingedId, Motion, Overlap, PREDICTION, Part, Push, Shape, World,
 };
 use crate::robots::Psm;
 
@@ -129,8 +129,8 @@ pub struct Instrument {
     wrist: BodyId,
     fingers: Fingers,
     posture: Posture,
-    /// What is tied to the wrist, and by what.
-    tied: Option<(BodyId, TieId)>,
+    /// What is attached to the wrist, and by what.
+    attached: Option<(BodyId, AttachmentId)>,
     /// Whether the bodies in the world are where they were before the instrument moved without
     /// substeps.
     stale: bool,
@@ -172,7 +172,7 @@ impl Instrument {
                 world.insert(Motion::Driven, &pose, FRICTION, &[finger(side)])
             }))
         };
-        Self { wrist, fingers, posture, tied: None, stale: true }
+        Self { wrist, fingers, posture, attached: None, stale: true }
     }
 
     /// Where it is, with the jaw angle that is asked for.
@@ -197,7 +197,7 @@ impl Instrument {
         }
     }
 
-    /// Whether `object` is in its jaws: both fingers press on it, or it is tied to the wrist.
+    /// Whether `object` is in its jaws: both fingers press on it, or it is attached to the wrist.
     pub fn holds(&self, world: &World, object: BodyId) -> bool {
         self.is_tied_to(object) || self.fingers_touching(world, object) == 2
     }
@@ -210,10 +210,10 @@ impl Instrument {
         self.finger_bodies().iter().filter(|finger| world.touch(**finger, object)).count()
     }
 
-    /// Which of its fingers press on an object; both where one is tied to the wrist.
+    /// Which of its fingers press on an object; both where one is attached to the wrist.
     pub fn contacts(&self, world: &World) -> [bool; 2] {
-        if self.stale || self.tied.is_some() {
-            return [self.tied.is_some(); 2];
+        if self.stale || self.attached.is_some() {
+            return [self.attached.is_some(); 2];
         }
         self.finger_bodies().map(|finger| world.objects().any(|object| world.touch(finger, object)))
     }
@@ -226,24 +226,24 @@ impl Instrument {
         self.finger_bodies().map(|finger| world.pressure(finger))
     }
 
-    /// Whether `object` is tied to the wrist.
+    /// Whether `object` is attached to the wrist.
     pub fn is_tied_to(&self, object: BodyId) -> bool {
-        self.tied.is_some_and(|(tied, _)| tied == object)
+        self.attached.is_some_and(|(attached, _)| attached == object)
     }
 
-    /// Ties `object` to the wrist where it is, whatever was tied before.
-    pub fn tie(&mut self, world: &mut World, object: BodyId) {
-        self.untie(world);
+    /// Attaches `object` to the wrist where it is, whatever was attached before.
+    pub fn attach(&mut self, world: &mut World, object: BodyId) {
+        self.detach(world);
         if self.stale {
             self.put_bodies(world);
         }
-        self.tied = Some((object, world.tie(self.wrist, object)));
+        self.attached = Some((object, world.attach(self.wrist, object)));
     }
 
-    /// Lets go what is tied to the wrist.
-    pub fn untie(&mut self, world: &mut World) {
-        if let Some((_, tie)) = self.tied.take() {
-            world.untie(tie);
+    /// Lets go what is attached to the wrist.
+    pub fn detach(&mut self, world: &mut World) {
+        if let Some((_, attachment)) = self.attached.take() {
+            world.detach(attachment);
         }
     }
 
@@ -294,20 +294,20 @@ impl Instrument {
     /// Whether it meets nothing in the volume that it sweeps.
     pub(super) fn has_free_way(&self, world: &World, swept: &Aabb) -> bool {
         // Nothing fixed moves what is driven.
-        let meets_furniture = self.grips() && world.furniture_in(swept);
-        self.tied.is_none() && !world.object_in(&swept.grown(MARGIN)) && !meets_furniture
+        let meets_static = self.grips() && world.static_in(swept);
+        self.attached.is_none() && !world.object_in(&swept.grown(MARGIN)) && !meets_static
     }
 
     /// Whether gripping jaws that sweep a volume in a substep are out of reach of all objects and of
-    /// furniture.
+    /// static bodies.
     pub(super) fn is_apart(&self, world: &World, swept: &Aabb) -> bool {
         self.grips()
-            && self.tied.is_none()
+            && self.attached.is_none()
             && !world.object_in(&swept.grown(REACH_OF_OBJECTS))
-            && !world.furniture_in(swept)
+            && !world.static_in(swept)
     }
 
-    /// Where furniture stops it on its way to `next`: where wrist or fingers, as they are, would be deeper
+    /// Where static bodies stop it on its way to `next`: where wrist or fingers, as they are, would be deeper
     /// in it than now.
     pub(super) fn stopped_by(&self, world: &World, next: &Posture) -> Option<Overlap> {
         if !self.grips() || self.stale {
@@ -315,7 +315,7 @@ impl Instrument {
         }
         let motion = next.world_from_wrist * self.posture.world_from_wrist.inverse();
         let deepest = |motion: &Pose| {
-            let bodies = self.bodies().map(|body| world.meets_furniture(body, motion));
+            let bodies = self.bodies().map(|body| world.meets_static(body, motion));
             bodies.into_iter().reduce(Overlap::or).expect("it has bodies")
         };
         let then = deepest(&motion);
@@ -389,7 +389,7 @@ impl Instrument {
                 world.resist_rolling(fingers.each_ref().map(HingedId::body));
             }
         }
-        if let Some((object, _)) = self.tied {
+        if let Some((object, _)) = self.attached {
             world.wake(object);
         }
         self.posture = next;
@@ -413,13 +413,13 @@ impl Instrument {
         self.stale = false;
     }
 
-    /// What the rest of the world did to it, and to what is tied to it, in the last substep.
+    /// What the rest of the world did to it, and to what is attached to it, in the last substep.
     pub(super) fn push(&self, world: &World) -> Push {
         if self.stale {
             return Push::NONE;
         }
         let [left, right] = self.finger_bodies();
-        if let Some((object, _)) = self.tied {
+        if let Some((object, _)) = self.attached {
             return world.push_on(&[self.wrist, left, right, object]);
         }
         match self.fingers {

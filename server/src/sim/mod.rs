@@ -6,7 +6,7 @@
 //! | [`world`] | bodies, gravity, contacts, time |
 //! | [`instrument`] | wrist and jaws of an arm as bodies |
 //! | [`motion`] | how instruments move: profiles, what stops them, quiescence |
-//! | [`grasp`] | what holds an object in the jaws: friction, or a tie |
+//! | [`grasp`] | what holds an object in the jaws: friction, or an attachment |
 //! | [`random`] | the named, portable generator of every episode |
 //!
 //! Everything outside is in SI units and in f64.

@@ -14,6 +14,7 @@ use rapier3d::prelude::{
 
 use super::frames::{self, Aabb, Pose, SCALE};
 
+mod attachment;
 mod constraint;
 mod contact;
 mod hinge;
@@ -27,14 +28,13 @@ mod spring;
 mod substep;
 #[cfg(test)]
 mod tests;
-mod tie;
 
+pub use attachment::AttachmentId;
 pub use contact::{Contact, Overlap, Push};
 pub use hinge::{Hinge, HingedId};
 pub use inertia::Inertia;
 pub use non_rigid::{NonRigid, Surface};
 pub use spring::{Spring, SprungId};
-pub use tie::TieId;
 
 /// Acceleration of free fall, m/s².
 pub const GRAVITY: f64 = 9.81;
@@ -185,7 +185,7 @@ pub struct World {
     colliders: ColliderSet,
     hinges: Vec<hinge::Hung>,
     springs: Vec<spring::Sprung>,
-    ties: Vec<tie::Tied>,
+    attachments: Vec<attachment::Attachment>,
     /// Driven bodies, and where each is to be at the end of the substep.
     driven: Vec<(RigidBodyHandle, Option<EnginePose>)>,
     /// What bodies did to each other in the last substep.
@@ -197,7 +197,7 @@ pub struct World {
     fastest: f32,
     fixed: Vec<RigidBodyHandle>,
     /// The boxes of all parts of fixed bodies, m.
-    furniture: Vec<Aabb>,
+    static_boxes: Vec<Aabb>,
     workspace: Workspace,
 }
 
@@ -231,14 +231,14 @@ impl World {
             colliders: ColliderSet::new(),
             hinges: Vec::new(),
             springs: Vec::new(),
-            ties: Vec::new(),
+            attachments: Vec::new(),
             driven: Vec::new(),
             impulses: Vec::new(),
             free: Vec::new(),
             others: Vec::new(),
             fastest: 0.0,
             fixed: Vec::new(),
-            furniture: Vec::new(),
+            static_boxes: Vec::new(),
             workspace: Workspace::default(),
         }
     }
@@ -439,14 +439,14 @@ impl World {
     }
 
     /// Whether the box of any part of a fixed body meets `region`.
-    pub fn furniture_in(&self, region: &Aabb) -> bool {
-        self.furniture.iter().any(|part| region.meets(part))
+    pub fn static_in(&self, region: &Aabb) -> bool {
+        self.static_boxes.iter().any(|part| region.meets(part))
     }
 
     /// Takes note of where a body is now, if it is a fixed one.
     fn survey(&mut self, body: RigidBodyHandle) {
         if self.fixed.contains(&body) {
-            self.furniture = self.fixed.iter().flat_map(|body| self.boxes(*body)).collect();
+            self.static_boxes = self.fixed.iter().flat_map(|body| self.boxes(*body)).collect();
         }
     }
 

@@ -4,7 +4,7 @@
 //!
 //! Six blocks, triangular rings, stand on a board about the pegs on PSM2's side. PSM2 is to lift one
 //! of them off its peg and hand it over in the air, over the midline, to PSM1, which puts it onto a
-//! peg on its own side. Fingers and block touch by friction alone: nothing ever ties a block to the
+//! peg on its own side. Fingers and block touch by friction alone: nothing ever attaches a block to the
 //! jaws.
 //!
 //! # Action Space
@@ -70,10 +70,10 @@
 //!
 //! `reward`, `action`, `observation`, and:
 //!
-//! - `grasp`: `interact`: friction alone; `approx`: a tie between wrist and block when jaws close whose
+//! - `grasp`: `interact`: friction alone; `approx`: an attachment between wrist and block when jaws close whose
 //!   tip is within `grasp_distance` (0.002 m) of it, through which the fingers then pass; `weld`:
-//!   friction until the block's centre is 10 mm above those of the pegs, then a tie. One arm at a time
-//!   has a tie.
+//!   friction until the block's centre is 10 mm above those of the pegs, then an attachment. One arm at a time
+//!   has an attachment.
 //! - `start`, the paper's variants: PSM2 has done `approach` (its open jaws are about a wall), `pick`
 //!   (they hold it) or `lift` (above the pegs): one of 64 states that the expert made, with a new
 //!   target.
@@ -145,7 +145,7 @@ const WORKSPACES: [Aabb; 2] = [
     Aabb::new([0.50, -0.05, 0.686], [0.60, 0.0, 0.745]),
 ];
 
-/// Height of the block's centre above that of its target from which a tie may hold it under
+/// Height of the block's centre above that of its target from which an attachment may hold it under
 /// `grasp = "weld"`, m. Source: the original.
 const WELD_LIFT: f64 = 0.01;
 

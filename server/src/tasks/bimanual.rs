@@ -292,7 +292,7 @@ pub(super) mod tests {
         if std::env::var_os("TROCAR_SOAK").is_some() { full } else { reduced }
     }
 
-    /// Lets a step pass, in which nothing is tied and no arm passes through the other.
+    /// Lets a step pass, in which nothing is attached and no arm passes through the other.
     pub(in crate::tasks) fn act<T: Watched>(task: &mut T, world: &mut World, action: &[f32]) {
         let action: Vec<_> = action.iter().map(|number| number.clamp(-1.0, 1.0)).collect();
         time::step(task, world, Some(&action), RATE.substeps());

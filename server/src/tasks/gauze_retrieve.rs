@@ -4,7 +4,7 @@
 //!
 //! A folded gauze swab lies in a tray. PSM1 is to grasp it by its pleat, lift it and bring its
 //! middle within 5 mm of a point above the tray. Fingers and gauze touch by friction alone: nothing
-//! ever ties the gauze to the jaws. The gauze is rigid.
+//! ever attaches the gauze to the jaws. The gauze is rigid.
 //!
 //! # Action Space
 //!
@@ -65,9 +65,9 @@
 //!
 //! `reward`, `action`, `observation`, `spawn`, and:
 //!
-//! - `grasp`: `interact`: friction alone; `approx`: a tie between wrist and gauze when jaws close whose
+//! - `grasp`: `interact`: friction alone; `approx`: an attachment between wrist and gauze when jaws close whose
 //!   tip is within `grasp_distance` (0.002 m) of it, through which the fingers then pass; `weld`:
-//!   friction until it is 2.5 mm higher than it lay, then a tie.
+//!   friction until it is 2.5 mm higher than it lay, then an attachment.
 //! - `start`: `approach` (the open jaws are about the pleat), `pick` (they hold it) or `lift` (as high
 //!   as its goal): one of 64 states that the expert made, with a new goal.
 //! - `preset = "surrol"`: positions, goals and tolerance in units of 0.2 m (metres × 5), gauze of
@@ -128,7 +128,7 @@ use crate::sim::world::{BodyId, World};
 /// it.
 const GRASP_CLEARANCE: f64 = 0.15e-3;
 
-/// Height above the tray's floor from which a tie may hold the gauze under `grasp = "weld"`, m.
+/// Height above the tray's floor from which an attachment may hold the gauze under `grasp = "weld"`, m.
 /// Source: the original, which takes 2.5 mm from where it lay.
 const WELD_LIFT: f64 = 0.0025;
 

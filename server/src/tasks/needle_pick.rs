@@ -4,7 +4,7 @@
 //!
 //! A needle of 40 mm lies on a pad in a tray. PSM1 is to grasp it, lift it and bring the middle of
 //! its arc within 5 mm of a point above the pad. By default fingers and needle touch by friction
-//! alone: nothing ever ties the needle to the jaws.
+//! alone: nothing ever attaches the needle to the jaws.
 //!
 //! # Action Space
 //!
@@ -65,9 +65,9 @@
 //!
 //! `reward`, `action`, `observation`, `spawn`, and:
 //!
-//! - `grasp`: `interact`: friction alone; `approx`: a tie between wrist and needle when jaws close
+//! - `grasp`: `interact`: friction alone; `approx`: an attachment between wrist and needle when jaws close
 //!   whose tip is within `grasp_distance` (0.002 m) of the wire, through which the fingers then pass;
-//!   `weld`: friction until the middle of the arc is 5 mm higher than it lay, then a tie.
+//!   `weld`: friction until the middle of the arc is 5 mm higher than it lay, then an attachment.
 //! - `start`: `approach` (the open jaws are about the wire), `pick` (they hold it) or `lift` (as high
 //!   as its goal): one of 64 states that the expert made, with a new goal.
 //! - `preset = "surrol"`: positions, goals and tolerance in units of 0.2 m (metres × 5), needle of
@@ -129,7 +129,7 @@ const GRASP_DEPTH: f64 = 0.45e-3;
 /// How far below the grasp the expert sends the wrist, m: it bears heights that are wrong by half as much.
 const PRESS: f64 = 2e-3;
 
-/// Height of the middle of the arc above the pad from which a tie may hold the needle under
+/// Height of the middle of the arc above the pad from which an attachment may hold the needle under
 /// `grasp = "weld"`, m. Source: the original, which takes 5 mm from where it lay.
 const WELD_LIFT: f64 = 0.0055;
 

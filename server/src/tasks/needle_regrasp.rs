@@ -5,7 +5,7 @@
 //! PSM1 holds the 40 mm needle near its swage. It hands the needle over in the air to PSM2, which
 //! grasps it near its point and brings that place within 5 mm of a goal. Goals are where PSM1 cannot
 //! bring the needle, wherever it holds it. A needle that is there is in PSM2's hand alone. Fingers
-//! and needle touch by friction alone: nothing ever ties the needle to the jaws.
+//! and needle touch by friction alone: nothing ever attaches the needle to the jaws.
 //!
 //! # Action Space
 //!
@@ -75,7 +75,7 @@
 //! `reward`, `action`, `observation`, and:
 //!
 //! - `grasp = "interact"`: friction alone; `"approx"`, `"weld"`: see [`grasp`](crate::sim::grasp). Under
-//!   `weld` a tie replaces friction as soon as both fingers touch; one arm at a time has it.
+//!   `weld` an attachment replaces friction as soon as both fingers touch; one arm at a time has it.
 //! - `preset = "surrol"`: positions, goals and tolerance in units of 0.2 m (metres × 5), needle of
 //!   10 g, gripped with 3 N instead of 0.4 N, `grasp = "weld"` unless given.
 //! - `arm = "si"`: the arms of the S and Si in place of the first generation's, see

@@ -39,8 +39,8 @@ pub fn grasp() -> [OptionSpec; 2] {
     [
         OptionSpec::choice(
             "grasp",
-            "interact: friction, and nothing else; approx: a tie, when jaws close near the object; \
-             weld: friction until it is lifted, then a tie, as in the original.",
+            "interact: friction, and nothing else; approx: an attachment, when jaws close near the object; \
+             weld: friction until it is lifted, then an attachment, as in the original.",
             &["interact", "approx", "weld"],
         ),
         OptionSpec {

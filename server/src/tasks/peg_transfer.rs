@@ -3,7 +3,7 @@
 //! # Description
 //!
 //! Four blocks, triangular rings, stand on a board about pegs. PSM1 is to lift one of them off its
-//! peg and put it onto another one. Fingers and block touch by friction alone: nothing ever ties a
+//! peg and put it onto another one. Fingers and block touch by friction alone: nothing ever attaches a
 //! block to the jaws.
 //!
 //! # Action Space
@@ -64,9 +64,9 @@
 //!
 //! `reward`, `action`, `observation`, and:
 //!
-//! - `grasp`: `interact`: friction alone; `approx`: a tie between wrist and block when jaws close whose
+//! - `grasp`: `interact`: friction alone; `approx`: an attachment between wrist and block when jaws close whose
 //!   tip is within `grasp_distance` (0.002 m) of it, through which the fingers then pass; `weld`:
-//!   friction until the block's centre is 10 mm above those of the pegs, then a tie.
+//!   friction until the block's centre is 10 mm above those of the pegs, then an attachment.
 //! - `start`: `approach` (the open jaws are about a wall), `pick` (they hold it) or `lift` (above the
 //!   pegs): one of 64 states that the expert made, with a new target.
 //! - `preset = "surrol"`: positions, goals and tolerances in units of 0.2 m (metres × 5), blocks of
@@ -126,7 +126,7 @@ const BLOCKS: usize = 4;
 /// The wall of the block that is observed. Source: the original.
 const WALL: usize = 1;
 
-/// Height of the block's centre above that of its target from which a tie may hold it under
+/// Height of the block's centre above that of its target from which an attachment may hold it under
 /// `grasp = "weld"`, m. Source: the original.
 const WELD_LIFT: f64 = 0.01;
 

@@ -306,7 +306,7 @@ impl PsmArm {
         self.joints = self.start_joints;
         self.scene_from_wrist = self.start;
         let world_from_wrist = self.true_pose(&self.joints);
-        self.instrument.untie(world);
+        self.instrument.detach(world);
         self.instrument.place(Posture { world_from_wrist, jaw: JAW_CLOSED });
         self.stay();
     }
@@ -343,14 +343,14 @@ impl PsmArm {
         true
     }
 
-    /// Ties `object` to the wrist where it is, to prepare a start; [`Self::let_go`] ends it.
+    /// Attaches `object` to the wrist where it is, to prepare a start; [`Self::let_go`] ends it.
     pub fn hold_fast(&mut self, world: &mut World, object: BodyId) {
-        self.instrument.tie(world, object);
+        self.instrument.attach(world, object);
     }
 
-    /// Lets go what is tied to the wrist.
+    /// Lets go what is attached to the wrist.
     pub fn let_go(&mut self, world: &mut World) {
-        self.instrument.untie(world);
+        self.instrument.detach(world);
     }
 
     /// Which generation it is.
@@ -588,8 +588,8 @@ pub fn command<const N: usize>(
     grasp.command(world, arms.map(PsmArm::instrument), closing);
 }
 
-/// Lets a tie take over what `arms` hold or let it go; `is_lifted` tells whether the object of `grasp` has risen
-/// enough for a tie to replace friction where the grasp mode is `weld`.
+/// Lets an attachment take over what `arms` hold or let it go; `is_lifted` tells whether the object of `grasp` has risen
+/// enough for an attachment to replace friction where the grasp mode is `weld`.
 pub fn settle<const N: usize>(
     arms: [&mut PsmArm; N],
     world: &mut World,

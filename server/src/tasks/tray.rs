@@ -46,7 +46,7 @@ pub fn padded_world(preset: Preset, domain: Domain) -> (World, Pad) {
     (world, pad)
 }
 
-/// Puts furniture into the world, its origin at `origin` (m).
+/// Puts static bodies into the world, its origin at `origin` (m).
 pub fn furnish(world: &mut World, model: &Model, origin: [f64; 3]) -> BodyId {
     let pose = frames::pose(origin, [0.0; 3]);
     world.insert(Motion::Fixed, &pose, model.friction, &model.parts)

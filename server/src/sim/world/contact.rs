@@ -163,10 +163,10 @@ impl World {
         push
     }
 
-    /// Where a body that `motion` would take from where it is would be nearest to furniture, or overlap
+    /// Where a body that `motion` would take from where it is would be nearest to static bodies, or overlap
     /// with it most. The depth is below 0 where they are apart. It is −∞ where they are further apart
     /// than contacts are looked at.
-    pub(crate) fn meets_furniture(&self, body: BodyId, motion: &Pose) -> Overlap {
+    pub(crate) fn meets_static(&self, body: BodyId, motion: &Pose) -> Overlap {
         let motion = frames::to_engine(motion);
         let margin = (PREDICTION * SCALE) as f32;
         let mut deepest = Overlap { depth: f64::NEG_INFINITY, ..Overlap::NONE };
@@ -174,8 +174,8 @@ impl World {
             let part = &self.colliders[*part];
             let moved = motion * *part.position();
             let region = part.shape().compute_aabb(&moved).loosened(margin);
-            let furniture = self.fixed.iter().flat_map(|fixed| self.bodies[*fixed].colliders());
-            for other in furniture.map(|handle| &self.colliders[*handle]) {
+            let static_parts = self.fixed.iter().flat_map(|fixed| self.bodies[*fixed].colliders());
+            for other in static_parts.map(|handle| &self.colliders[*handle]) {
                 if !region.intersects(&other.compute_aabb()) {
                     continue;
                 }

@@ -207,10 +207,10 @@ impl World {
         BodyId(hinge.expect("hinges stay").carrier)
     }
 
-    /// The pairs of bodies that a joint ties together, springs aside.
+    /// The pairs of bodies that a joint connects, springs aside.
     pub fn joints(&self) -> impl Iterator<Item = [BodyId; 2]> {
         let hinged = self.hinges.iter().map(|hinge| [BodyId(hinge.carrier), BodyId(hinge.body)]);
-        hinged.chain(self.ties.iter().map(|tie| tie.id.bodies().map(BodyId)))
+        hinged.chain(self.attachments.iter().map(|attachment| attachment.id.bodies().map(BodyId)))
     }
 }
 

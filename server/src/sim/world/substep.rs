@@ -8,9 +8,9 @@ use rapier3d::geometry::ContactManifold;
 use rapier3d::math::{Rotation, Vector};
 use rapier3d::prelude::{ColliderHandle, RigidBodyHandle};
 
+use super::attachment::Attachment;
 use super::constraint::{Constraints, ContactPoint, ContactSide, Friction, SolverBody, Spatial};
 use super::points::{self, Point};
-use super::tie::Tied;
 use super::{PREDICTION, RESTING_SPEED, SUBSTEPS_PER_SECOND, Solver, World, gravity};
 use crate::sim::frames::SCALE;
 
@@ -131,7 +131,7 @@ impl World {
         let mut constraints = std::mem::take(&mut self.workspace.constraints);
         let mut impulses = std::mem::take(&mut self.workspace.impulses);
         let mut solved = std::mem::take(&mut self.workspace.solved);
-        let mut tied = vec![];
+        let mut attached = vec![];
         impulses.clear();
         solved.clear();
         let touching = self.touching(awake);
@@ -156,17 +156,18 @@ impl World {
                 contact.last_friction = point.friction;
             }
             let mut locks = constraints.lock_impulses();
-            for tie in members().flat_map(|index| self.ties_of(awake[index])) {
-                let impulses = std::array::from_fn(|_| locks.next().expect("six for each tie"));
-                tied.push((tie.id, impulses));
+            for attachment in members().flat_map(|index| self.attachments_of(awake[index])) {
+                let impulses =
+                    std::array::from_fn(|_| locks.next().expect("six for each attachment"));
+                attached.push((attachment.id, impulses));
             }
             let bodies = members().zip(constraints.bodies());
             solved.extend(bodies.map(|(index, body)| (awake[index], *body)));
         }
         drop(touching);
-        for (id, impulses) in tied {
-            for tie in self.ties.iter_mut().filter(|tie| tie.id == id) {
-                tie.impulses = impulses;
+        for (id, impulses) in attached {
+            for attachment in self.attachments.iter_mut().filter(|attachment| attachment.id == id) {
+                attachment.impulses = impulses;
             }
         }
         for (handle, body) in &solved {
@@ -222,7 +223,7 @@ impl World {
         let joined = |pair| pair == [one, other] || pair == [other, one];
         self.hinges.iter().any(|hinge| joined([hinge.carrier, hinge.body]))
             || self.springs.iter().any(|spring| joined([spring.base, spring.body]))
-            || self.ties.iter().any(|tie| joined(tie.id.bodies()))
+            || self.attachments.iter().any(|attachment| joined(attachment.id.bodies()))
     }
 
     /// What rows can do to a body.
@@ -255,13 +256,13 @@ impl World {
         for spring in self.springs.iter().filter(|spring| spring.body == body) {
             self.add_spring(spring, number, constraints);
         }
-        for tie in self.ties_of(body) {
-            self.add_tie(tie, number, constraints);
+        for attachment in self.attachments_of(body) {
+            self.add_attachment(attachment, number, constraints);
         }
     }
 
-    fn ties_of(&self, object: RigidBodyHandle) -> impl Iterator<Item = &Tied> {
-        self.ties.iter().filter(move |tie| tie.id.bodies()[1] == object)
+    fn attachments_of(&self, object: RigidBodyHandle) -> impl Iterator<Item = &Attachment> {
+        self.attachments.iter().filter(move |attachment| attachment.id.bodies()[1] == object)
     }
 
     /// Adds the rows of a contact, if it has any, and a note of each of its points.

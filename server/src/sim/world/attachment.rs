@@ -6,61 +6,67 @@ use rapier3d::prelude::{Group, InteractionGroups, InteractionTestMode, RigidBody
 use super::constraint::{Constraints, Joint, Spatial};
 use super::{BodyId, World};
 
-/// What ties two bodies together; see [`World::tie`].
+/// What attaches a body to another; see [`World::attach`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct TieId {
+pub struct AttachmentId {
     carrier: RigidBodyHandle,
     object: RigidBodyHandle,
 }
 
-/// A tie, and where the object is to be, in engine units.
+/// An attachment, and where the object is to be, in engine units.
 #[derive(Debug, Clone)]
-pub(super) struct Tied {
-    pub id: TieId,
+pub(super) struct Attachment {
+    pub id: AttachmentId,
     carrier_from_object: EnginePose,
     /// What it bore at the end of the last substep, along and about each axis in turn.
     pub impulses: [f32; 6],
 }
 
-impl TieId {
+impl AttachmentId {
     pub(super) fn bodies(self) -> [RigidBodyHandle; 2] {
         [self.carrier, self.object]
     }
 }
 
 impl World {
-    /// Ties `object` to the driven body `carrier` where both are.
-    pub fn tie(&mut self, carrier: BodyId, object: BodyId) -> TieId {
+    /// Attaches `object` to the driven body `carrier` where both are.
+    pub fn attach(&mut self, carrier: BodyId, object: BodyId) -> AttachmentId {
         let world_from_carrier = *self.bodies[carrier.0].position();
         let carrier_from_object = world_from_carrier.inverse() * *self.bodies[object.0].position();
-        let id = TieId { carrier: carrier.0, object: object.0 };
-        self.ties.push(Tied { id, carrier_from_object, impulses: [0.0; 6] });
+        let id = AttachmentId { carrier: carrier.0, object: object.0 };
+        self.attachments.push(Attachment { id, carrier_from_object, impulses: [0.0; 6] });
         self.bodies[object.0].wake_up(true);
         id
     }
 
-    /// Unties what `tie` holds, if it is still there.
-    pub fn untie(&mut self, tie: TieId) {
-        let ties = self.ties.len();
-        self.ties.retain(|tied| tied.id != tie);
-        if self.ties.len() < ties {
-            self.bodies[tie.object].wake_up(true);
+    /// Detaches what `attachment` holds, if it is still there.
+    pub fn detach(&mut self, attachment: AttachmentId) {
+        let attachments = self.attachments.len();
+        self.attachments.retain(|attached| attached.id != attachment);
+        if self.attachments.len() < attachments {
+            self.bodies[attachment.object].wake_up(true);
         }
     }
 
-    /// Adds the rows of a tie: along the axes of the world, and about those of the object's inertia. They do not act on
+    /// Adds the rows of an attachment: along the axes of the world, and about those of the object's inertia. They do not act on
     /// each other, since all are at its centre of mass.
-    pub(super) fn add_tie(&self, tie: &Tied, number: usize, constraints: &mut Constraints) {
-        let [carrier, object] = tie.id.bodies().map(|body| &self.bodies[body]);
+    pub(super) fn add_attachment(
+        &self,
+        attachment: &Attachment,
+        number: usize,
+        constraints: &mut Constraints,
+    ) {
+        let [carrier, object] = attachment.id.bodies().map(|body| &self.bodies[body]);
         let mass = &object.mass_properties().local_mprops;
-        let wanted = *carrier.position() * tie.carrier_from_object;
+        let wanted = *carrier.position() * attachment.carrier_from_object;
         let centre = object.center_of_mass();
         let offset = centre - wanted.transform_point(mass.local_com);
         let turn = (*object.rotation() * wanted.rotation.inverse()).to_scaled_axis();
         let [velocity, rate] = [carrier.velocity_at_point(centre), carrier.angvel()];
         let principal = *object.rotation() * mass.principal_inertia_local_frame;
         for (index, axis) in [Vector::X, Vector::Y, Vector::Z].into_iter().enumerate() {
-            let [force, torque] = [tie.impulses[2 * index], tie.impulses[2 * index + 1]];
+            let [force, torque] =
+                [attachment.impulses[2 * index], attachment.impulses[2 * index + 1]];
             let along = Spatial::new(axis, Vector::ZERO);
             let lock = Joint::Lock { position: offset.dot(axis), impulse: force };
             constraints.add_joint(number, along, velocity.dot(axis), lock);
