@@ -23,7 +23,7 @@ and says how long it will take. Ctrl-C interrupts it, --resume goes on.")]
 pub(crate) struct Learn {
     /// A task of `trocar tasks`
     task: String,
-    /// The Python that has the package trocar[rl] [default: $TROCAR_PYTHON, else python3]
+    /// The Python that has the package `trocar[rl]` [default: $TROCAR_PYTHON, else python3]
     #[arg(long, value_name = "PATH")]
     python: Option<PathBuf>,
     /// Arguments of `python -m trocar.rl train`
