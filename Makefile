@@ -129,7 +129,7 @@ lint: lint-rust lint-python lint-viewer lint-prose ## * formatting, clippy, ruff
 lint-rust:
 	$(CARGO) fmt --all --check
 	$(CARGO) clippy --workspace --all-targets --locked -- -D warnings
-	RUSTDOCFLAGS="-D warnings -A rustdoc::private_intra_doc_links" $(CARGO) doc --workspace --no-deps --document-private-items --locked
+	RUSTDOCFLAGS="-D warnings -A rustdoc::private_intra_doc_links -A rustdoc::redundant_explicit_links" $(CARGO) doc --workspace --no-deps --document-private-items --locked
 
 .PHONY: lint-python
 lint-python: $(VENV)/ready

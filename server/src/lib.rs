@@ -7,7 +7,7 @@
 //! | [`sim`] | the world: physics in SI units, instruments as bodies |
 //! | [`tasks`] | what is learnt: one file per task, and the registry that lists them |
 //! | [`render`] | pictures of it: colour, depth, bodies |
-//! | [`env`] | one environment: a task in its world, episode by episode |
+//! | [`mod@env`] | one environment: a task in its world, episode by episode |
 //! | `clock` | processor time of a thread |
 //! | [`error`] | why an environment could not be stepped |
 //! | [`view`] | the live viewer: a page over HTTP |
