@@ -31,7 +31,9 @@ class Server:
     def __init__(self, *trainers: tuple[str, ...], port: str = "0") -> None:
         self.name = f"view-{os.getpid() % 10**5}-{time.monotonic_ns() % 10**6}"
         self._log = tempfile.NamedTemporaryFile(mode="w+")
-        command = [BINARY, "serve", "--name", self.name, "--view", port, "--log-format", "json"]
+        # One core is for the browser, which draws without a graphics processor here.
+        serve = [BINARY, "serve", "--name", self.name, "--threads", "1"]
+        command = [*serve, "--view", port, "--log-format", "json"]
         self.process = subprocess.Popen(command, stderr=self._log)
         self._trainers: list[subprocess.Popen[bytes]] = []
         try:
