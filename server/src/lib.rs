@@ -7,6 +7,7 @@
 //! | [`sim`] | the world: physics in SI units, instruments as bodies |
 //! | [`tasks`] | what is learnt: one file per task, and the registry that lists them |
 //! | [`render`] | pictures of it: colour, depth, bodies |
+//! | [`dvrk`] | arms that answer as a dVRK's: controllers of joints, tick by tick |
 //! | [`mod@env`] | one environment: a task in its world, episode by episode |
 //! | `clock` | processor time of a thread |
 //! | [`error`] | why an environment could not be stepped |
@@ -17,6 +18,7 @@
 
 pub mod assets;
 mod clock;
+pub mod dvrk;
 pub mod env;
 pub mod error;
 pub mod render;

@@ -1,6 +1,6 @@
 //! The endoscopic camera manipulator (ECM): 4 joints and an endoscope.
 
-use crate::robots::chain::{Chain, Link, SINGULAR, Twist, shaft_direction, yaw_pitch_of};
+use crate::robots::chain::{Chain, Link, SINGULAR, Twist, atan2, shaft_direction, yaw_pitch_of};
 use crate::robots::error::{IkError, check_limits, check_reach};
 use crate::robots::{ArmModel, JointLimit};
 use nalgebra::{Isometry3, Matrix3, SMatrix, Vector3};
@@ -128,6 +128,28 @@ impl Ecm {
         let (yaw, pitch) = yaw_pitch_of(&shaft, seed[0]);
         let insertion = position.dot(&shaft) - depth_offset;
         check_limits(&self.chain.limits, [yaw, pitch, insertion, seed[3]])
+    }
+
+    /// The joint values that bring the camera frame's origin to that of `base_from_camera`, in closed form, and its
+    /// axes as near to those as the roll allows: four joints cannot take every orientation.
+    ///
+    /// `seed`: joint values, rad; index 2 in m.
+    pub fn inverse(
+        &self,
+        base_from_camera: &Isometry3<f64>,
+        seed: &[f64; 4],
+    ) -> Result<[f64; 4], IkError> {
+        let axes = *base_from_camera.rotation.to_rotation_matrix().matrix();
+        if !axes.iter().all(|value| value.is_finite()) {
+            return Err(IkError::NotFinite);
+        }
+        let position = base_from_camera.translation.vector;
+        let [yaw, pitch, insertion, _] =
+            self.inverse_position(&position, &[seed[0], seed[1], seed[2], 0.0])?;
+        let unrolled = self.chain.end(&[yaw, pitch, insertion, 0.0]).rotation;
+        let turn = unrolled.transpose() * axes * self.link_from_camera().transpose();
+        let roll = atan2(turn[(1, 0)] - turn[(0, 1)], turn[(0, 0)] + turn[(1, 1)]);
+        check_limits(&self.chain.limits, [yaw, pitch, insertion, roll])
     }
 
     /// Columns: the camera's axes in the last DH frame, dVRK's tool-tip rotation times

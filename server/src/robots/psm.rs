@@ -11,10 +11,13 @@ use crate::robots::chain::{
 use crate::robots::error::{IkError, LIMIT_ROUNDING, check_limits, check_reach};
 use crate::robots::{ArmModel, JointLimit};
 use nalgebra::{Isometry3, Matrix3, Matrix6, Translation3, Vector3};
-use std::f64::consts::{FRAC_PI_2, TAU};
+use std::f64::consts::{FRAC_PI_2, FRAC_PI_3, TAU};
 
 /// Distance between the wrist-pitch and wrist-yaw axes, m.
 const PITCH_TO_YAW: f64 = 0.0091;
+
+/// Within which the roll and wrist joints of a solution are near a seed's, rad: 60°.
+const NEARBY: f64 = FRAC_PI_3;
 
 /// Columns: the wrist frame's axes in the last DH frame (dVRK's tool-tip rotation).
 const LINK_FROM_WRIST: Matrix3<f64> = Matrix3::new(
@@ -159,16 +162,49 @@ impl Psm {
         base_from_wrist: &Isometry3<f64>,
         seed: &[f64; 6],
     ) -> Result<[f64; 6], IkError> {
+        check_finite(base_from_wrist, seed)?;
+        let [_, _, insertion_limit, roll_limit, ..] = self.chain.limits;
+        let reach = insertion_limit.max + self.depth_offset() + PITCH_TO_YAW;
+        check_reach(&base_from_wrist.translation.vector, reach)?;
+        let mut q = self.solve(base_from_wrist, seed, Branch::Limited);
+        q[3] = nearest_turn(q[3], seed[3], &roll_limit);
+        check_limits(&self.chain.limits, q)
+    }
+
+    /// As [`Self::inverse`], whatever the limits of the joints, for a shaft of any length that leaves the remote
+    /// centre. The wrist-yaw joint is within ±90°, the roll is the turn nearest to the seed's.
+    ///
+    /// A pose has a second solution, in which the wrist is bent over backwards, beyond 90° in both joints. It is taken
+    /// where it is nearby and the first is further: so a wrist that is led past its limits does not turn round at
+    /// once.
+    ///
+    /// `seed`: joint values, rad; index 2 in m; it need not be within the limits.
+    pub fn inverse_unlimited(
+        &self,
+        base_from_wrist: &Isometry3<f64>,
+        seed: &[f64; 6],
+    ) -> Result<[f64; 6], IkError> {
+        check_finite(base_from_wrist, seed)?;
+        let solutions = [Branch::Unlimited, Branch::BentOver].map(|branch| {
+            let mut q = self.solve(base_from_wrist, seed, branch);
+            q[3] += TAU * ((seed[3] - q[3]) / TAU).round();
+            q
+        });
+        let way = |q: &[f64; 6]| (3..6).map(|i| (q[i] - seed[i]).abs()).fold(0.0, f64::max);
+        let [upright, bent_over] = solutions;
+        Ok(if way(&bent_over) < NEARBY.min(way(&upright)) { bent_over } else { upright })
+    }
+
+    /// Depth of the wrist-pitch axis below the remote centre at insertion zero, m.
+    pub const fn depth_offset(&self) -> f64 {
+        self.chain.links[2].d + self.chain.links[3].d
+    }
+
+    /// Joint values for a pose, the roll in any turn.
+    fn solve(&self, base_from_wrist: &Isometry3<f64>, seed: &[f64; 6], branch: Branch) -> [f64; 6] {
         let wrist = base_from_wrist.translation.vector;
         let axes = *base_from_wrist.rotation.to_rotation_matrix().matrix();
-        let finite = wrist.iter().chain(&axes).chain(seed).all(|value| value.is_finite());
-        if !finite {
-            return Err(IkError::NotFinite);
-        }
-        let [_, _, insertion_limit, roll_limit, ..] = self.chain.limits;
-        // Depth of the wrist-pitch axis below the remote centre at insertion zero.
-        let depth_offset = self.chain.links[2].d + self.chain.links[3].d;
-        check_reach(&wrist, insertion_limit.max + depth_offset + PITCH_TO_YAW)?;
+        let depth_offset = self.depth_offset();
 
         let jaws: Vector3<f64> = axes.column(2).into();
         let yaw_axis: Vector3<f64> = -axes.column(0);
@@ -180,7 +216,8 @@ impl Psm {
         let forward = direction_across(&wrist, &yaw_axis)
             .or_else(|| direction_across(&seed_forward(seed), &yaw_axis))
             .unwrap_or(jaws);
-        let forward = if forward.dot(&jaws) < 0.0 { -forward } else { forward };
+        let is_away = (forward.dot(&jaws) < 0.0) != (branch == Branch::BentOver);
+        let forward = if is_away { -forward } else { forward };
         let pitch_axis = forward.cross(&yaw_axis);
 
         // The wrist-pitch axis crosses the shaft, which passes through the remote centre and is
@@ -190,7 +227,8 @@ impl Psm {
             .try_normalize(SINGULAR)
             .or_else(|| direction_across(&shaft_direction(seed[0], seed[1]), &pitch_axis))
             .unwrap_or(forward);
-        let shaft = if shaft.dot(&forward) < 0.0 { -shaft } else { shaft };
+        let is_above = branch == Branch::Limited && shaft.dot(&forward) < 0.0;
+        let shaft = if is_above { -shaft } else { shaft };
 
         let (yaw, pitch) = yaw_pitch_of(&shaft, seed[0]);
         let insertion = shaft_end.dot(&shaft) - depth_offset;
@@ -200,10 +238,26 @@ impl Psm {
         let roll = atan2(-pitch_axis.dot(&roll_x), pitch_axis.dot(&roll_y));
         let wrist_pitch = atan2(forward.dot(&pitch_axis.cross(&shaft)), forward.dot(&shaft));
         let wrist_yaw = atan2(-jaws.dot(&pitch_axis), jaws.dot(&forward));
-
-        let roll = nearest_turn(roll, seed[3], &roll_limit);
-        check_limits(&self.chain.limits, [yaw, pitch, insertion, roll, wrist_pitch, wrist_yaw])
+        [yaw, pitch, insertion, roll, wrist_pitch, wrist_yaw]
     }
+}
+
+/// Which of the joint vectors that lead to a pose.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Branch {
+    /// Both wrist joints within ±90°; the wrist-pitch axis may lie above the remote centre.
+    Limited,
+    /// The wrist-pitch axis below the remote centre, the wrist-yaw joint within ±90°.
+    Unlimited,
+    /// The wrist-pitch axis below the remote centre, the wrist-yaw joint beyond ±90°.
+    BentOver,
+}
+
+/// Refuses a target or a seed that holds a NaN or an infinity.
+fn check_finite(pose: &Isometry3<f64>, seed: &[f64; 6]) -> Result<(), IkError> {
+    let axes = pose.rotation.to_rotation_matrix();
+    let mut values = pose.translation.vector.iter().chain(axes.matrix()).chain(seed);
+    if values.all(|value| value.is_finite()) { Ok(()) } else { Err(IkError::NotFinite) }
 }
 
 /// Unit vector from the wrist-pitch axis to the wrist-yaw axis at joint values `q`.

@@ -1,0 +1,85 @@
+//! Operating states: commands that change them, and faults.
+
+use super::{ArmController, Mode, Progress, Space, quoted, zeros};
+use crate::dvrk::command::StateCommand;
+use crate::dvrk::event::{Error, Warning, What};
+use crate::dvrk::planner::Trajectory;
+use crate::dvrk::state::State;
+
+impl ArmController {
+    /// Every `state_command` is answered by the state, whether it changes or not.
+    pub(super) fn state_command(&mut self, command: &StateCommand) {
+        if self.state.takes(command) {
+            self.enter(command);
+        } else {
+            self.emit(What::Warning(match command {
+                StateCommand::Unknown(word) => Warning::UnknownStateCommand(quoted(word)),
+                _ => Warning::StateCommand { command: command.word().into(), state: self.state },
+            }));
+        }
+        self.tell_state();
+    }
+
+    fn enter(&mut self, command: &StateCommand) {
+        match command {
+            StateCommand::Enable => self.state = State::Enabled,
+            StateCommand::Disable => self.lose_power(State::Disabled),
+            StateCommand::Home if !self.has_zeros => self.begin_homing(),
+            StateCommand::Unhome => {
+                self.interrupt();
+                self.has_zeros = false;
+                self.rest();
+            }
+            StateCommand::Pause if self.state == State::Enabled => {
+                self.resumes_homing = matches!(self.mode, Mode::Homing(_));
+                self.interrupt();
+                self.state = State::Paused;
+                self.rest();
+            }
+            StateCommand::Resume => {
+                self.state = State::Enabled;
+                if std::mem::take(&mut self.resumes_homing) {
+                    self.begin_homing();
+                }
+            }
+            StateCommand::Home | StateCommand::Pause | StateCommand::Unknown(_) => {}
+        }
+    }
+
+    /// Stops the arm, which loses its power and its zeros.
+    fn lose_power(&mut self, state: State) {
+        self.interrupt();
+        self.state = state;
+        self.has_zeros = false;
+        self.resumes_homing = false;
+        self.rest();
+    }
+
+    /// Something went wrong.
+    pub(super) fn fault(&mut self, why: Error) {
+        self.emit(What::Error(why));
+        self.lose_power(State::Fault);
+        self.tell_state();
+    }
+
+    /// Stays where it is.
+    fn rest(&mut self) {
+        self.mode = Mode::Still;
+        self.space = Space::Undefined;
+        self.setpoint.velocity = zeros(self.mechanism.axes());
+    }
+
+    /// In dVRK's kinematic simulation, homing is a trajectory to the zeros, instrument or endoscope inserted.
+    fn begin_homing(&mut self) {
+        if matches!(self.mode, Mode::Homing(_)) {
+            return;
+        }
+        let home = self.mechanism.home();
+        self.jaw_moved_to = home.get(self.mechanism.joints()).copied().unwrap_or_default();
+        self.is_jaw_servoed = false;
+        let limits = self.mechanism.axis_limits(self.ratios);
+        let still = zeros(home.len());
+        let trajectory = Trajectory::plan(&self.setpoint.position, &still, &home, &limits);
+        self.mode = Mode::Homing(Progress::new(trajectory));
+    }
+}
