@@ -78,6 +78,7 @@ pub enum NoSolution {
 }
 
 /// The mechanics of one arm.
+#[expect(clippy::large_enum_variant, reason = "constants, one for each arm")]
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Mechanism {
     /// A PSM with its Large Needle Driver.
@@ -168,7 +169,7 @@ impl Mechanism {
         if got == most {
             return Ok(self.forward(joints));
         }
-        let mut all = Axes::from_iter(joints.iter().copied());
+        let mut all: Axes = joints.iter().copied().collect();
         all.extend((got..most).map(|_| 0.0));
         let link = |links: &[Pose]| got.checked_sub(1).map_or(Pose::identity(), |last| links[last]);
         Ok(match self {

@@ -126,6 +126,10 @@ fn slow_root(c: f64, t: f64, a: f64) -> f64 {
 }
 
 /// How the axes of a trajectory move.
+#[expect(
+    clippy::large_enum_variant,
+    reason = "planned in place, at every set-point of a stream at most"
+)]
 #[derive(Debug, Clone, PartialEq)]
 enum Ways {
     /// All on one straight line: along the profile of one of them, by their distances.

@@ -23,7 +23,7 @@ impl ArmController {
                 _ => (self.setpoint.position.clone(), zeros(self.mechanism.axes())),
             };
             goal[self.mechanism.joints()] = angle;
-            self.servo(goal, velocity);
+            self.servo(&goal, velocity);
             self.is_jaw_servoed = true;
         }
         Ok(())

@@ -21,7 +21,7 @@ impl ArmController {
         match command {
             Command::Hold => {
                 if self.is_ready(topic) {
-                    self.servo(self.setpoint.position.clone(), zeros(self.mechanism.axes()));
+                    self.servo(&self.setpoint.position.clone(), zeros(self.mechanism.axes()));
                     self.space = Space::Joint;
                 }
             }
@@ -219,7 +219,7 @@ impl ArmController {
             self.space = Space::Joint;
             let goal = self.with_jaw(joints, &self.servo_base());
             let still = zeros(self.mechanism.axes());
-            self.servo(goal, self.with_jaw(velocity, &still));
+            self.servo(&goal, self.with_jaw(velocity, &still));
         }
     }
 
@@ -228,21 +228,21 @@ impl ArmController {
         match self.mechanism.inverse(base_from_end, seed) {
             Ok(joints) => {
                 let goal = self.with_jaw(&joints, &self.servo_base());
-                self.servo(goal, zeros(self.mechanism.axes()));
+                self.servo(&goal, zeros(self.mechanism.axes()));
                 Ok(())
             }
             Err(why) => {
                 // The set-point before is held.
-                self.servo(self.servo_base(), zeros(self.mechanism.axes()));
+                self.servo(&self.servo_base(), zeros(self.mechanism.axes()));
                 Err(Error::InverseKinematics { command, why })
             }
         }
     }
 
     /// Follows set-points of all axes, clipped silently.
-    pub(super) fn servo(&mut self, goal: Axes, velocity: Axes) {
+    pub(super) fn servo(&mut self, goal: &[f64], velocity: Axes) {
         self.interrupt();
-        self.mode = Mode::Servo { goal: self.mechanism.clipped(&goal), velocity };
+        self.mode = Mode::Servo { goal: self.mechanism.clipped(goal), velocity };
     }
 
     fn servo_velocity(&mut self, of: Velocity) {

@@ -90,7 +90,7 @@ pub(super) fn command(rng: &mut Rng, mechanism: &Mechanism) -> Command {
 #[test]
 fn no_command_makes_an_arm_panic_or_leave_its_limits() {
     for mechanism in [Mechanism::Psm(Psm::CLASSIC), Mechanism::Ecm(Ecm::CLASSIC)] {
-        let mut script = Script::new(mechanism);
+        let mut script = Script::new(&mechanism);
         let mut rng = Rng::new(7, mechanism.joints() as u64);
         let [mut moves, mut reached, mut homed, mut refused] = [0_usize; 4];
         for _ in 0..COMMANDS / 2 {

@@ -12,6 +12,9 @@ const GOLDEN: f64 = 1e-9;
 /// What the inverse may err by, rad and m.
 const ROUND_TRIP: f64 = 1e-9;
 
+/// An arm, its joints, and the rotation (row by row) and position (m) of its end.
+type Golden = (Mechanism, &'static [f64], [f64; 9], [f64; 3]);
+
 const DOWN: [f64; 9] = [0.0, 1.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, -1.0];
 const LOOKS_DOWN: [f64; 9] = [1.0, 0.0, 0.0, 0.0, -1.0, 0.0, 0.0, 0.0, -1.0];
 
@@ -20,7 +23,7 @@ fn the_services_give_the_golden_vectors() {
     let psm = Mechanism::Psm(Psm::CLASSIC);
     let ecm = Mechanism::Ecm(Ecm::CLASSIC);
     #[rustfmt::skip]
-    let golden: [(Mechanism, &[f64], [f64; 9], [f64; 3]); 8] = [
+    let golden: [Golden; 8] = [
         (psm, &[0.0, 0.0, 0.12, 0.0, 0.0, 0.0], DOWN, [0.0, 0.0, -0.1135]),
         (psm, &[0.0, 0.0, 0.10, 0.0, 0.0, 0.0], DOWN, [0.0, 0.0, -0.0935]),
         (psm, &[0.3, -0.2, 0.15, 0.5, 0.4, -0.6],
@@ -43,7 +46,7 @@ fn the_services_give_the_golden_vectors() {
          [0.029_165_688, 0.020_006_002, -0.094_284_742]),
     ];
     for (mechanism, joints, rotation, position) in golden {
-        let arm = Script::new(mechanism).arm;
+        let arm = Script::new(&mechanism).arm;
         let pose = arm.forward_kinematics(joints).unwrap();
         let off = pose.translation.vector - nalgebra::Vector3::from(position);
         assert!(off.amax() < GOLDEN, "{joints:?}: {off}");
@@ -56,7 +59,7 @@ fn the_services_give_the_golden_vectors() {
 fn shorter_vectors_give_the_frame_along_the_chain() {
     for mechanism in [Mechanism::Psm(Psm::CLASSIC), Mechanism::Ecm(Ecm::CLASSIC)] {
         let base = Pose::translation(0.1, 0.2, 0.3);
-        let arm = Script::new(mechanism).arm.with_base_frame("table", base);
+        let arm = Script::new(&mechanism).arm.with_base_frame("table", base);
         assert!(far(&arm.forward_kinematics(&[]).unwrap(), &base) < 1e-15);
         assert_eq!(arm.local_forward_kinematics(&[]).unwrap(), Pose::identity());
         let q = [0.3, -0.2, 0.15];
@@ -94,7 +97,7 @@ fn the_inverse_undoes_the_forward_kinematics_without_the_base_frame() {
         Mechanism::Ecm(Ecm::SI),
         Mechanism::Ecm(Ecm::new(ArmModel::Classic, Endoscope::Up30)),
     ] {
-        let arm = Script::new(mechanism).arm;
+        let arm = Script::new(&mechanism).arm;
         let arm = arm.with_base_frame("table", Pose::translation(0.3, 0.2, 0.1));
         let mut rng = Rng::new(8, 0);
         for _ in 0..20_000 {

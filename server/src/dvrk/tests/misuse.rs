@@ -7,7 +7,7 @@ const ZERO: [f64; 6] = [0.0, 0.0, 0.12, 0.0, 0.0, 0.0];
 
 #[test]
 fn a_disabled_or_unhomed_arm_ignores_motions_and_says_so_every_two_seconds() {
-    let mut script = Script::new(Mechanism::Psm(Psm::CLASSIC));
+    let mut script = Script::new(&Mechanism::Psm(Psm::CLASSIC));
     let handle = script.heard.len();
     for _ in 0..500 {
         script.send(Command::MoveJp(ZERO.to_vec()));
@@ -32,7 +32,7 @@ fn a_disabled_or_unhomed_arm_ignores_motions_and_says_so_every_two_seconds() {
 
 #[test]
 fn homing_a_disabled_arm_is_answered_and_does_nothing() {
-    let mut script = Script::new(Mechanism::Psm(Psm::CLASSIC));
+    let mut script = Script::new(&Mechanism::Psm(Psm::CLASSIC));
     assert_eq!(script.wait(Command::State(StateCommand::Home)), None);
     assert_eq!(script.states(0), 1);
     assert!(script.complaints(0)[0].contains("DISABLED"));
@@ -51,7 +51,7 @@ fn every_state_command_is_answered_in_every_state() {
     ];
     for (state, way) in ways {
         for command in ["enable", "disable", "home", "unhome", "pause", "resume", "dance", ""] {
-            let mut script = Script::new(Mechanism::Psm(Psm::CLASSIC));
+            let mut script = Script::new(&Mechanism::Psm(Psm::CLASSIC));
             if state == State::Fault {
                 script = faulted();
             }
@@ -253,7 +253,7 @@ fn a_pause_stops_a_move_and_homing_goes_on_after_it() {
     assert!(script.arm.operating_state().is_homed);
     assert!(script.wait(Command::MoveJp(ZERO.to_vec())).is_some());
 
-    let mut script = Script::new(Mechanism::Psm(Psm::CLASSIC));
+    let mut script = Script::new(&Mechanism::Psm(Psm::CLASSIC));
     script.send(Command::State(StateCommand::Enable));
     script.send(Command::State(StateCommand::Home));
     script.run(0.5);

@@ -28,20 +28,20 @@ struct Script {
 }
 
 impl Script {
-    fn new(mechanism: Mechanism) -> Self {
+    fn new(mechanism: &Mechanism) -> Self {
         let start = vec![0.0; mechanism.axes()];
         let name = if matches!(mechanism, Mechanism::Psm(_)) { "PSM1" } else { "ECM" };
-        Self { arm: ArmController::new(name, mechanism, &start), heard: vec![] }
+        Self { arm: ArmController::new(name, *mechanism, &start), heard: vec![] }
     }
 
     /// A PSM of the first generation, enabled and homed.
     fn psm() -> Self {
-        Self::new(Mechanism::Psm(Psm::CLASSIC)).homed()
+        Self::new(&Mechanism::Psm(Psm::CLASSIC)).homed()
     }
 
     /// An ECM of the first generation, enabled and homed.
     fn ecm() -> Self {
-        Self::new(Mechanism::Ecm(Ecm::CLASSIC)).homed()
+        Self::new(&Mechanism::Ecm(Ecm::CLASSIC)).homed()
     }
 
     fn homed(mut self) -> Self {
@@ -51,6 +51,7 @@ impl Script {
         self
     }
 
+    #[expect(clippy::needless_pass_by_value, reason = "a script makes a command to send it")]
     fn send(&mut self, command: Command) {
         self.arm.command(&command);
         self.listen();

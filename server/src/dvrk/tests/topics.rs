@@ -56,11 +56,14 @@ fn the_list_is_that_of_a_real_arm() {
 
 #[test]
 fn every_subscribed_topic_has_a_command_and_every_event_a_topic() {
+    use crate::dvrk::Effort::{
+        BodyServoCf, BodySetCfOrientationAbsolute, ServoCs, SpatialServoCf, UseGravityCompensation,
+    };
     let mut rng = Rng::new(11, 0);
     let mut commands = BTreeSet::new();
     let mut events = BTreeSet::new();
     for mechanism in [Mechanism::Psm(Psm::CLASSIC), Mechanism::Ecm(Ecm::CLASSIC)] {
-        let mut script = Script::new(mechanism);
+        let mut script = Script::new(&mechanism);
         for _ in 0..20_000 {
             let command = super::fuzz::command(&mut rng, &mechanism);
             commands.insert(command.topic());
@@ -70,9 +73,6 @@ fn every_subscribed_topic_has_a_command_and_every_event_a_topic() {
         }
         events.extend(script.heard.iter().map(|event| event.what.topic()));
     }
-    use crate::dvrk::Effort::{
-        BodyServoCf, BodySetCfOrientationAbsolute, ServoCs, SpatialServoCf, UseGravityCompensation,
-    };
     let rest = [
         BodyServoCf,
         BodySetCfOrientationAbsolute,
