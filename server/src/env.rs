@@ -41,6 +41,7 @@ mod arrange;
 mod bounds;
 mod drive;
 mod imaging;
+mod live;
 mod passing;
 mod rebuild;
 pub mod recording;
@@ -53,6 +54,7 @@ use bounds::{Excesses, bound};
 pub use drive::Drive;
 pub use imaging::Pictures;
 pub(crate) use imaging::{Imaging, Shot};
+pub use live::LiveWorld;
 use passing::Actuation;
 
 pub(crate) use rebuild::{Identity, Rebuild};
@@ -433,6 +435,16 @@ impl Env {
             tracing::warn!(task = self.spec.id, seed, episode, steps, "an object left the theatre");
         }
 
+        let step = self.judge(achieved, desired);
+        let truncated = self.steps >= self.spec.max_steps;
+        if step.terminated || truncated {
+            self.state = State::Over;
+        }
+        Ok(Step { truncated, ..step })
+    }
+
+    /// What the present state is worth, but for the time limit.
+    fn judge(&self, achieved: &[f32], desired: &[f32]) -> Step {
         let reward = match (&self.spec.goal, self.spec.reward) {
             (Some(goal), Reward::Sparse | Reward::Dense) => {
                 self.spec.reward.of(&goal.success, achieved, desired)
@@ -442,11 +454,7 @@ impl Env {
         let is_success = self.spec.is_success(achieved, desired);
         let terminated =
             self.task.terminated(&self.world) || (is_success && self.terminates_on_success);
-        let truncated = self.steps >= self.spec.max_steps;
-        if terminated || truncated {
-            self.state = State::Over;
-        }
-        Ok(Step { reward, terminated, truncated, is_success })
+        Step { reward, terminated, truncated: false, is_success }
     }
 
     /// Writes the present observation and goals, of the specification's dimensions; zeros before

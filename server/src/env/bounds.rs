@@ -45,7 +45,7 @@ impl Clone for Excesses {
 impl Env {
     /// What was clamped of the task's own numbers (before noise) and of its expert's, by element: each entry is
     /// a fault of the task or of its specification. Elements that [saturate](Element::saturates) are left out
-    /// while an object is lost.
+    /// while an object is lost, and all while arms are driven from outside, which may lead them anywhere.
     pub fn clamped(&self) -> BTreeMap<String, Excess> {
         self.excesses.get()
     }
@@ -72,7 +72,8 @@ impl Env {
 
     #[cold]
     fn note_excess(&self, what: &str, number: f32, element: &Element) {
-        if number.is_finite() && !(element.saturates && self.has_lost_objects()) {
+        if number.is_finite() && !self.is_driven && !(element.saturates && self.has_lost_objects())
+        {
             self.excesses.note(format!("{what}: {}", element.name), number, element);
         }
     }

@@ -277,7 +277,7 @@ impl Instrument {
     }
 
     /// Whether the fingers are bodies of their own.
-    pub(super) fn grips(&self) -> bool {
+    pub(crate) fn grips(&self) -> bool {
         matches!(self.fingers, Fingers::Gripping { .. })
     }
 

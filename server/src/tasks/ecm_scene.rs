@@ -318,6 +318,32 @@ impl EcmArm {
         }
     }
 
+    /// Its kinematics.
+    pub fn kinematics(&self) -> &Ecm {
+        &self.kinematics
+    }
+
+    /// Its remote centre of motion, world frame.
+    pub fn world_from_rcm(&self) -> &Pose {
+        &self.world_from_rcm
+    }
+
+    /// What the joint sensors report, rad; index 2 in m.
+    pub fn encoders(&self) -> &[f64; 4] {
+        &self.joints
+    }
+
+    /// What the joints really are, less what the sensors report, rad; index 2 in m.
+    pub fn offsets(&self) -> &[f64; 4] {
+        &self.offsets
+    }
+
+    /// Takes note of what the joint sensors report of an arm that is driven from outside, rad; index 2 in m.
+    pub fn follow(&mut self, encoders: &[f64; 4]) {
+        (self.joints, self.way) = (*encoders, [*encoders; 2]);
+        self.rcm_from_camera = self.sensed(&self.joints);
+    }
+
     /// The arm once actions that are on their way have been carried out, as its expert foresees it.
     #[must_use]
     pub fn ahead(&self, in_flight: &[f32]) -> Cow<'_, Self> {

@@ -49,6 +49,7 @@ use crate::sim::random::Rng;
 use crate::sim::world::{BodyId, World};
 
 mod action;
+mod driven;
 mod measured;
 mod orientation;
 mod place;

@@ -57,6 +57,11 @@ impl ArmController {
         if velocity == acceleration { velocity } else { 0.0 }
     }
 
+    /// What the encoders of all axes say, the jaw behind the joints: rad; index 2 in m.
+    pub fn encoders(&self) -> &Axes {
+        &self.measured.position
+    }
+
     /// `measured_js`: what the encoders say. Without a tool, three joints and the discs that would drive it.
     pub fn measured_js(&self) -> JointState {
         self.joint_state(&self.measured)

@@ -34,7 +34,7 @@ const YIELD_OVERLAP: f64 = 0.05e-3;
 
 /// How far a gripping instrument gives way in a substep where going back does not help, m: jaws that
 /// close swing their tips down by 0.6 mm, onto what may lie under them.
-const ASIDE: f64 = 0.05e-3;
+pub(super) const ASIDE: f64 = 0.05e-3;
 
 /// Vertical part of a direction that counts as level.
 const LEVEL: f64 = 0.1;

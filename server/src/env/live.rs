@@ -1,0 +1,161 @@
+//! A world whose arms answer the commands of dVRK scripts, substep by substep.
+
+use arrayvec::ArrayVec;
+use trocar_proto::{Code, Rejection};
+
+use super::{Env, Step};
+use crate::dvrk::{ArmController, Drivetrain, Mechanism, SetPoint};
+use crate::sim::frames::Pose;
+use crate::sim::instrument::Posture;
+use crate::sim::motion::{Instruments, MAX_INSTRUMENTS, Motion};
+
+/// Names of the instrument arms.
+const PSMS: [&str; MAX_INSTRUMENTS] = ["PSM1", "PSM2"];
+
+/// The world of a task whose arms are in the hands of controllers, one for each: `PSM1`, `PSM2`, `ECM`. A tick lets a
+/// substep of 1/240 s pass. What stops a step's motion stops these, too; an arm that is held up goes straight
+/// towards its latest set-point once it may.
+///
+/// The task looks at its world as often as in steps. Observations, reward and success are those of the present state;
+/// what a task does at its steps (the target of ActiveTrack moves on) it does then. Objects are held by friction. A
+/// clone is a snapshot, and the same commands at the same ticks give the same bits.
+///
+/// The reference frame of an arm is its remote centre, until a client sets another base frame;
+/// [`Self::world_from_base`] says where it is.
+#[derive(Clone)]
+pub struct LiveWorld {
+    env: Env,
+    motion: Motion,
+    psms: ArrayVec<ArmController, MAX_INSTRUMENTS>,
+    ecm: Option<ArmController>,
+    /// Ticks since the task looked.
+    passed: u32,
+}
+
+impl LiveWorld {
+    /// Takes the arms of an environment that is in an episode in hand, from where they are.
+    pub fn new(mut env: Env) -> Result<Self, Rejection> {
+        if env.needs_reset() {
+            let why = "an environment that was reset";
+            return Err(Rejection::new(Code::ResetNeeded, "env", "no episode", why));
+        }
+        if let Some(grasp) = env.options.text("grasp").filter(|grasp| *grasp != "interact") {
+            let why = "only \"interact\": jaws of live worlds hold by friction";
+            return Err(Rejection::new(Code::InvalidOption, "options.grasp", grasp, why));
+        }
+        env.is_driven = true;
+        let mut arms = env.task.arms();
+        let postures = arms.iter_mut().map(|arm| *arm.instrument().posture());
+        let motion = Motion::chasing(postures);
+        let psms = arms.iter_mut().zip(PSMS).map(|(arm, name)| {
+            let jaw = arm.instrument().posture().jaw;
+            let start: ArrayVec<f64, 7> = arm.encoders().iter().copied().chain([jaw]).collect();
+            let offsets = arm.offsets().iter().copied().chain([0.0]);
+            ArmController::new(name, Mechanism::Psm(*arm.kinematics()), &start)
+                .with_drivetrain(Drivetrain::new(offsets))
+        });
+        let psms = psms.collect();
+        drop(arms);
+        let ecm = env.task.endoscope().map(|arm| {
+            ArmController::new("ECM", Mechanism::Ecm(*arm.kinematics()), arm.encoders())
+                .with_drivetrain(Drivetrain::new(*arm.offsets()))
+        });
+        Ok(Self { env, motion, psms, ecm, passed: 0 })
+    }
+
+    /// The environment.
+    pub fn env(&self) -> &Env {
+        &self.env
+    }
+
+    /// The arms.
+    pub fn arms(&self) -> impl Iterator<Item = &ArmController> {
+        self.psms.iter().chain(&self.ecm)
+    }
+
+    /// The arm of a name, to read.
+    pub fn arm(&self, name: &str) -> Option<&ArmController> {
+        self.arms().find(|arm| arm.name() == name)
+    }
+
+    /// The arm of a name, to command.
+    pub fn arm_mut(&mut self, name: &str) -> Option<&mut ArmController> {
+        self.psms.iter_mut().chain(&mut self.ecm).find(|arm| arm.name() == name)
+    }
+
+    /// Where the remote centre of an arm is in the world.
+    pub fn world_from_base(&mut self, name: &str) -> Option<Pose> {
+        let psm = self.psms.iter().position(|arm| arm.name() == name);
+        match psm {
+            Some(index) => Some(*self.env.task.arms()[index].scene_from_base()),
+            None if name == "ECM" => self.env.task.endoscope().map(|arm| *arm.world_from_rcm()),
+            None => None,
+        }
+    }
+
+    /// The objects and where they are in the world.
+    pub fn objects(&self) -> impl Iterator<Item = (&'static str, Pose)> {
+        let pose = |(name, body)| (name, self.env.world.pose(body));
+        self.env.task.objects().into_iter().map(pose)
+    }
+
+    /// Lets a substep pass: the arms follow their controllers' set-points as far as the world lets them.
+    pub fn tick(&mut self) {
+        let set_points: ArrayVec<SetPoint, MAX_INSTRUMENTS> =
+            self.psms.iter_mut().map(ArmController::tick).collect();
+        self.follow(&set_points);
+        if let (Some(controller), Some(arm)) = (&mut self.ecm, self.env.task.endoscope()) {
+            controller.tick();
+            arm.follow(&first(controller.encoders()));
+        }
+        self.env.seen.is_present = false;
+        self.passed += 1;
+        if self.passed == self.env.substeps {
+            self.passed = 0;
+            self.env.task.after_step(&mut self.env.world);
+            self.env.measure();
+        }
+    }
+
+    /// Moves the instruments, and lets sensors and controllers know where they came.
+    fn follow(&mut self, set_points: &[SetPoint]) {
+        let Self { env, motion, psms, .. } = self;
+        let mut arms = env.task.arms();
+        let aims: ArrayVec<([f64; 6], Posture), MAX_INSTRUMENTS> = arms
+            .iter()
+            .zip(set_points)
+            .map(|(arm, set_point)| {
+                let links = first(&set_point.joints);
+                (links, arm.posture_of(&links, set_point.jaw.unwrap_or_default()))
+            })
+            .collect();
+        let targets: ArrayVec<Posture, MAX_INSTRUMENTS> =
+            aims.iter().map(|(_, posture)| *posture).collect();
+        let mut instruments: Instruments<'_> =
+            arms.iter_mut().map(|arm| arm.instrument()).collect();
+        motion.chase(&targets, &mut instruments, &mut env.world);
+        drop(instruments);
+        for ((arm, controller), (aim, posture)) in arms.iter_mut().zip(psms).zip(&aims) {
+            let links = arm.links_near(aim, posture);
+            let jaw = arm.jaw_near(&env.world, posture.jaw);
+            let axes: ArrayVec<f64, 7> = links.into_iter().chain([jaw]).collect();
+            controller.measure(&axes);
+            arm.follow(&first(controller.encoders()));
+        }
+    }
+
+    /// What the present state is worth to the task: reward, success, whether it is terminal. Live worlds have no time
+    /// limit.
+    pub fn judge(&self) -> Step {
+        let spec = self.env.spec();
+        let mut observation = vec![0.0; spec.observation_dim()];
+        let [mut achieved, mut desired] = [(); 2].map(|()| vec![0.0; spec.goal_dim()]);
+        self.env.observe(&mut observation, &mut achieved, &mut desired);
+        self.env.judge(&achieved, &desired)
+    }
+}
+
+/// The first `N` axes.
+fn first<const N: usize>(axes: &[f64]) -> [f64; N] {
+    std::array::from_fn(|index| axes[index])
+}

@@ -1,0 +1,64 @@
+//! An arm that is driven from outside, by joints.
+
+use super::PsmArm;
+use crate::robots::Psm;
+use crate::sim::frames::Pose;
+use crate::sim::instrument::{JAW_CLOSED, Posture};
+use crate::sim::world::World;
+
+/// Opening up to which jaws count as closed, rad. Closed jaws turn no further, but their motors do: the cables give.
+const SHUT: f64 = 0.01;
+
+impl PsmArm {
+    /// Its kinematics.
+    pub fn kinematics(&self) -> &Psm {
+        &self.kinematics
+    }
+
+    /// Its remote centre of motion, scene frame.
+    pub fn scene_from_base(&self) -> &Pose {
+        &self.scene_from_base
+    }
+
+    /// What the joint sensors report, rad; index 2 in m.
+    pub fn encoders(&self) -> &[f64; 6] {
+        &self.joints
+    }
+
+    /// What the joints really are, less what the sensors report, rad; index 2 in m.
+    pub fn offsets(&self) -> &[f64; 6] {
+        &self.offsets
+    }
+
+    /// Where the instrument is when the true joints are these, and its jaws are asked to be open by `jaw`, rad. A jaw
+    /// angle below 0 squeezes; jaws that are locked cannot.
+    pub fn posture_of(&self, links: &[f64; 6], jaw: f64) -> Posture {
+        let world_from_wrist = self.pose_at(links);
+        let jaw = if self.instrument.grips() { jaw } else { jaw.max(JAW_CLOSED) };
+        Posture { world_from_wrist, jaw }
+    }
+
+    /// The true joints, where they are near to `links`, which are theirs at `posture`.
+    pub fn links_near(&self, links: &[f64; 6], posture: &Posture) -> [f64; 6] {
+        let is = &self.instrument.posture().world_from_wrist;
+        if *is == posture.world_from_wrist {
+            return *links;
+        }
+        let found = self.kinematics.inverse_unlimited(&self.scene_from_base.inv_mul(is), links);
+        found.expect("an instrument is somewhere")
+    }
+
+    /// The jaw angle that the motor has, rad, where `asked` was asked for: the opening, and what the cables give where
+    /// the jaws are closed.
+    pub fn jaw_near(&self, world: &World, asked: f64) -> f64 {
+        let opening = self.opening(world);
+        if opening < SHUT { asked.min(opening) } else { opening }
+    }
+
+    /// Takes note of what the joint sensors report, rad; index 2 in m.
+    pub fn follow(&mut self, encoders: &[f64; 6]) {
+        self.joints = *encoders;
+        self.scene_from_wrist = self.pose_at(encoders);
+        self.stay();
+    }
+}
