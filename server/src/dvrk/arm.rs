@@ -91,6 +91,15 @@ impl Progress {
     }
 }
 
+/// What an arm does when it is homed.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Homing {
+    /// It moves all joints and the jaw to 0, and the insertion to 0.12 m, as dVRK's kinematic simulation does.
+    ToZero,
+    /// It stays, as a real PSM with a tool does.
+    InPlace,
+}
+
 /// Which kind of command came latest: the first Cartesian one is checked.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Space {
@@ -142,6 +151,7 @@ pub struct ArmController {
     base: BaseFrame,
     /// The tool or endoscope, by name, if there is one.
     tool: Option<String>,
+    homing: Homing,
     /// Ticks passed, from 1.
     ticks: u64,
     latest: Stamp,
@@ -188,6 +198,7 @@ impl ArmController {
             mechanism,
             drivetrain: Drivetrain::new(start.iter().map(|_| 0.0)),
             tool: Some(mechanism.tool().into()),
+            homing: Homing::ToZero,
             ticks: 1,
             latest: Stamp::of_tick(0),
             events: vec![],
@@ -213,6 +224,12 @@ impl ArmController {
     pub fn with_base_frame(self, reference: impl Into<String>, reference_from_base: Pose) -> Self {
         let base = BaseFrame { reference: reference.into(), reference_from_base };
         Self { base, ..self }
+    }
+
+    /// The same arm that is homed otherwise.
+    #[must_use]
+    pub fn with_homing(self, homing: Homing) -> Self {
+        Self { homing, ..self }
     }
 
     /// The same arm with another drivetrain.

@@ -20,7 +20,7 @@
 //! # What an arm does
 //!
 //! - It begins `DISABLED`. `enable` gives it power; `home` brings all joints to zero and the insertion to 0.12 m, as
-//!   dVRK's kinematic simulation does. Then it takes motion commands. Without power it forgets its zeros.
+//!   dVRK's kinematic simulation does, unless it is to stay ([`Homing`]). Then it takes motion commands. Without power it forgets its zeros.
 //! - Every `state_command` is answered by an operating state, also where nothing changes.
 //! - `servo_*` takes effect with the next tick: no interpolation, no limit of speed, joints clipped silently.
 //! - `move_*` plans a time-optimal trajectory of joints and jaw, from the present velocity, clipped first. It is busy
@@ -74,7 +74,7 @@ pub mod state;
 mod tests;
 pub mod topics;
 
-pub use arm::{ArmController, JointState, SetPoint, VELOCITY_SECONDS};
+pub use arm::{ArmController, Homing, JointState, SetPoint, VELOCITY_SECONDS};
 pub use command::{Command, Effort, PoseMessage, StateCommand};
 pub use drivetrain::Drivetrain;
 pub use event::{Error, Event, NotReady, Stamp, Warning, What};

@@ -4,13 +4,16 @@ use arrayvec::ArrayVec;
 use trocar_proto::{Code, Rejection};
 
 use super::{Env, Step};
-use crate::dvrk::{ArmController, Drivetrain, Mechanism, SetPoint};
+use crate::dvrk::{ArmController, Drivetrain, Homing, Mechanism, SetPoint};
 use crate::sim::frames::Pose;
 use crate::sim::instrument::Posture;
 use crate::sim::motion::{Instruments, MAX_INSTRUMENTS, Motion};
 
 /// Names of the instrument arms.
 const PSMS: [&str; MAX_INSTRUMENTS] = ["PSM1", "PSM2"];
+
+/// How far from its set-point an arm counts as held up, m: more than it gives way in a substep.
+const HELD_UP: f64 = 0.1e-3;
 
 /// The world of a task whose arms are in the hands of controllers, one for each: `PSM1`, `PSM2`, `ECM`. A tick lets a
 /// substep of 1/240 s pass. What stops a step's motion stops these, too; an arm that is held up goes straight
@@ -33,8 +36,9 @@ pub struct LiveWorld {
 }
 
 impl LiveWorld {
-    /// Takes the arms of an environment that is in an episode in hand, from where they are.
-    pub fn new(mut env: Env) -> Result<Self, Rejection> {
+    /// Takes the arms of an environment that is in an episode in hand, from where they are. Where they are homed in
+    /// place, they keep what they hold.
+    pub fn new(mut env: Env, homing: Homing) -> Result<Self, Rejection> {
         if env.needs_reset() {
             let why = "an environment that was reset";
             return Err(Rejection::new(Code::ResetNeeded, "env", "no episode", why));
@@ -53,12 +57,14 @@ impl LiveWorld {
             let offsets = arm.offsets().iter().copied().chain([0.0]);
             ArmController::new(name, Mechanism::Psm(*arm.kinematics()), &start)
                 .with_drivetrain(Drivetrain::new(offsets))
+                .with_homing(homing)
         });
         let psms = psms.collect();
         drop(arms);
         let ecm = env.task.endoscope().map(|arm| {
             ArmController::new("ECM", Mechanism::Ecm(*arm.kinematics()), arm.encoders())
                 .with_drivetrain(Drivetrain::new(*arm.offsets()))
+                .with_homing(homing)
         });
         Ok(Self { env, motion, psms, ecm, passed: 0 })
     }
@@ -140,7 +146,10 @@ impl LiveWorld {
             let jaw = arm.jaw_near(&env.world, posture.jaw);
             let axes: ArrayVec<f64, 7> = links.into_iter().chain([jaw]).collect();
             controller.measure(&axes);
-            arm.follow(&first(controller.encoders()));
+            let is = arm.true_wrist().translation.vector;
+            let off = (is - posture.world_from_wrist.translation.vector).norm();
+            let is_held_up = off > HELD_UP;
+            arm.follow(&first(controller.encoders()), is_held_up);
         }
     }
 

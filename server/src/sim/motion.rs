@@ -29,6 +29,10 @@ pub type Instruments<'a> = ArrayVec<&'a mut Instrument, MAX_INSTRUMENTS>;
 /// The profiles of a task's instruments.
 pub type Profiles = ArrayVec<Profile, MAX_INSTRUMENTS>;
 
+/// How far an instrument of a chase that gave way comes back to its path in a substep, m: a tenth of what it gives
+/// way, so that it does not swing.
+const COMING_BACK: f64 = 0.1 * guard::ASIDE;
+
 /// Where the instruments are to be.
 type Places = ArrayVec<Posture, MAX_INSTRUMENTS>;
 
@@ -77,8 +81,8 @@ impl Way {
     }
 
     /// Makes the place that the instrument of a chase came to the newest that is kept, and lets it come back to its
-    /// path where nothing pushes it.
-    fn arrive(&mut self) {
+    /// path where it gave way no further than `before`.
+    fn arrive(&mut self, before: &Vector3<f64>) {
         let came = self.done as usize + 1;
         let points = self.points();
         points.truncate(came);
@@ -88,8 +92,8 @@ impl Way {
         }
         points.drain(..points.len() - KEPT - 1);
         self.done = KEPT as u32;
-        if self.push.strongest == 0.0 {
-            let left = (self.aside.norm() - guard::ASIDE).max(0.0);
+        if self.aside == *before {
+            let left = (self.aside.norm() - COMING_BACK).max(0.0);
             self.aside = self.aside.try_normalize(0.0).unwrap_or_default() * left;
         }
     }
@@ -102,7 +106,8 @@ impl Way {
     }
 }
 
-/// The motion of a task's instruments.
+/// The motion of a task's instruments: along profiles that are known, through set-points that come one by one
+/// ([`Self::streamed`]), or towards the latest set-point ([`Self::chasing`]).
 #[derive(Debug, Clone, Default)]
 pub struct Motion {
     ways: ArrayVec<Way, MAX_INSTRUMENTS>,
@@ -183,8 +188,11 @@ impl Motion {
             points.push_back(within_reach(here, set_point));
         }
         self.substeps += 1;
+        let before: ArrayVec<_, MAX_INSTRUMENTS> = self.ways.iter().map(|way| way.aside).collect();
         self.pass(1, instruments, world);
-        self.ways.iter_mut().for_each(Way::arrive);
+        for (way, before) in self.ways.iter_mut().zip(&before) {
+            way.arrive(before);
+        }
         (self.now, self.substeps) = (self.now - 1, self.substeps - 1);
     }
 
@@ -383,5 +391,46 @@ mod tests {
         let tip = arm.posture().world_from_tip().translation.z;
         assert!(tip > 0.017, "it went on to {tip}");
         assert!(widest < JAW_OPEN + 0.1, "forced open to {widest}");
+    }
+
+    #[test]
+    fn a_chase_goes_to_the_latest_set_point_as_fast_as_instruments_go() {
+        let mut world = World::new(Solver::LIGHT);
+        let start = down([0.0, 0.0, 0.05]);
+        let mut arm = Instrument::insert(&mut world, start, 1.0);
+        let mut motion = super::Motion::chasing([start]);
+        // What was asked for before is forgotten.
+        let (there, back) = (down([0.1, 0.0, 0.05]), down([-0.05, 0.0, 0.05]));
+        for _ in 0..10 {
+            motion.chase(&[there], &mut [&mut arm], &mut world);
+        }
+        let x = |arm: &Instrument| arm.posture().world_from_wrist.translation.x;
+        assert!((x(&arm) - 10.0 * CHASE[0]).abs() < 1e-12);
+        for left in (0..30).rev() {
+            motion.chase(&[back], &mut [&mut arm], &mut world);
+            assert!((x(&arm) + 0.05 - f64::from(left) * CHASE[0]).abs() < 1e-12);
+        }
+        assert_eq!(*arm.posture(), back);
+    }
+
+    #[test]
+    fn a_chase_that_was_held_up_has_nothing_to_catch_up_with() {
+        let mut world = World::new(Solver::LIGHT);
+        let half = Vector3::new(0.05, 0.05, 0.01);
+        let block = Part { body_from_part: Pose::identity(), shape: Shape::Cuboid(half) };
+        world.insert(Motion::Fixed, &Pose::identity(), 1.0, &[block]);
+        let start = down([0.0, 0.0, 0.02]);
+        let mut arm = Instrument::insert(&mut world, start, 1.0);
+        let mut motion = super::Motion::chasing([start]);
+        let (deep, up) = (down([0.0, 0.0, -0.03]), down([0.0, 0.0, 0.02]));
+        for _ in 0..2000 {
+            motion.chase(&[deep], &mut [&mut arm], &mut world);
+        }
+        let tip = arm.posture().world_from_tip().translation.z;
+        assert!(tip > 9e-3, "it went on to {tip}");
+        for _ in 0..10 {
+            motion.chase(&[up], &mut [&mut arm], &mut world);
+        }
+        assert_eq!(*arm.posture(), up);
     }
 }

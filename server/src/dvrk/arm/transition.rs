@@ -1,6 +1,6 @@
 //! Operating states: commands that change them, and faults.
 
-use super::{ArmController, Mode, Progress, Space, quoted, zeros};
+use super::{ArmController, Homing, Mode, Progress, Space, quoted, zeros};
 use crate::dvrk::command::StateCommand;
 use crate::dvrk::event::{Error, Warning, What};
 use crate::dvrk::planner::Trajectory;
@@ -69,12 +69,15 @@ impl ArmController {
         self.setpoint.velocity = zeros(self.mechanism.axes());
     }
 
-    /// In dVRK's kinematic simulation, homing is a trajectory to the zeros, instrument or endoscope inserted.
+    /// Homing is a trajectory: to the zeros, or to where the arm is.
     fn begin_homing(&mut self) {
         if matches!(self.mode, Mode::Homing(_)) {
             return;
         }
-        let home = self.mechanism.home();
+        let home = match self.homing {
+            Homing::ToZero => self.mechanism.home(),
+            Homing::InPlace => self.setpoint.position.clone(),
+        };
         self.jaw_moved_to = home.get(self.mechanism.joints()).copied().unwrap_or_default();
         self.is_jaw_servoed = false;
         let limits = self.mechanism.axis_limits(self.ratios);

@@ -3,7 +3,7 @@
 use nalgebra::{Translation3, UnitQuaternion, Vector3};
 
 use super::*;
-use crate::dvrk::{Drivetrain, VELOCITY_SECONDS};
+use crate::dvrk::{Drivetrain, Homing, VELOCITY_SECONDS};
 
 /// JHU's PSM2: turned by −150° about x, 0.2 m aside.
 fn base() -> Pose {
@@ -117,6 +117,18 @@ fn without_a_tool_an_arm_has_discs_and_no_pose() {
         script.wait(Command::jaw_open(0.0)),
         rest_to_rest(0.5, 1080.0 * DEGREE, 720.0 * DEGREE),
     );
+}
+
+#[test]
+fn an_arm_that_is_homed_in_place_stays_there() {
+    let mechanism = Mechanism::Psm(Psm::CLASSIC);
+    let start = [0.3, -0.2, 0.15, 0.5, 0.4, -0.6, 0.2];
+    let arm = ArmController::new("PSM1", mechanism, &start).with_homing(Homing::InPlace);
+    let mut script = Script { arm, heard: vec![] };
+    script.send(Command::State(StateCommand::Enable));
+    assert_took(script.wait(Command::State(StateCommand::Home)), 0.1);
+    assert!(script.arm.operating_state().is_homed);
+    assert_eq!((script.joints(), script.jaw()), (start[..6].to_vec(), 0.2));
 }
 
 #[test]

@@ -55,10 +55,12 @@ impl PsmArm {
         if opening < SHUT { asked.min(opening) } else { opening }
     }
 
-    /// Takes note of what the joint sensors report, rad; index 2 in m.
-    pub fn follow(&mut self, encoders: &[f64; 6]) {
+    /// Takes note of what the joint sensors report, rad; index 2 in m, and whether the arm is elsewhere than it was
+    /// to be.
+    pub fn follow(&mut self, encoders: &[f64; 6], is_held_up: bool) {
         self.joints = *encoders;
         self.scene_from_wrist = self.pose_at(encoders);
         self.stay();
+        self.is_held_up = is_held_up;
     }
 }
