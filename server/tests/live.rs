@@ -3,7 +3,7 @@
 #![expect(clippy::unwrap_used, reason = "a panic is a test's report, in its helpers too")]
 
 use nalgebra::{UnitQuaternion, Vector3};
-use trocar_proto::Options;
+use trocar_proto::{OptionValue, Options};
 use trocar_server::dvrk::{
     ArmController, Command, Homing, OperatingState, Pose, PoseMessage, State, StateCommand, TICK,
     What,
@@ -124,7 +124,7 @@ impl Script {
     }
 
     /// The wrist in the world, as the encoders have it.
-    fn wrist(&mut self, arm: &str) -> Pose {
+    fn wrist(&self, arm: &str) -> Pose {
         let base_from_wrist = self.world.arm(arm).unwrap().measured_cp().unwrap();
         self.world.world_from_base(arm).unwrap() * base_from_wrist
     }
@@ -362,6 +362,37 @@ fn the_endoscope_of_a_task_is_an_arm_too() {
     let way = vector(&desired) - vector(&achieved);
     script.move_to("ECM", &(Pose::from(way) * camera));
     assert!(script.world.judge().is_success, "{:?}", script.complaints);
+}
+
+#[test]
+fn encoders_that_err_reach_their_set_points_and_the_arm_is_elsewhere() {
+    let rows = [("joint_offset".to_string(), vec![0.01, 0.02])].into();
+    let options = Options::new().with("domain", OptionValue::Table(rows));
+    let mut env = Registry::builtin().make("NeedlePick-v0", &options).unwrap();
+    env.reset(Some(0));
+    let mut script = Script::new(LiveWorld::new(env, Homing::ToZero).unwrap());
+    script.enable_and_home("PSM1");
+    let arm = script.world.arm("PSM1").unwrap();
+    let off = |(is, asked): (&f64, &f64)| (is - asked).abs() < 1e-12;
+    let [measured, set] = [arm.measured_js().position, arm.setpoint_js().position];
+    assert!(measured.iter().zip(&set).all(off), "{measured:?} {set:?}");
+    // The picture shows where it truly is.
+    let scene = script.world.env().scene();
+    let body = scene.body("psm1 wrist_yaw_link").or_else(|| scene.body("psm1 jaw_1_link")).unwrap();
+    let drawn = scene.instances().iter().find(|part| part.body == body).unwrap().world_from_mesh;
+    let wrist = script.wrist("PSM1").translation.vector;
+    let apart = (drawn.translation.vector - wrist).norm();
+    assert!((1e-3..10e-3).contains(&apart), "{apart}");
+}
+
+#[test]
+fn an_episode_that_was_live_is_no_recording_and_may_be_reset() {
+    let mut script = Script::new(make("NeedlePick-v0", 3, Homing::ToZero));
+    script.enable_and_home("PSM1");
+    let mut env = script.world.into_env();
+    assert!(env.export().is_err() && env.clamped().is_empty());
+    env.reset(Some(3));
+    assert!(env.export().is_ok());
 }
 
 #[test]

@@ -49,20 +49,29 @@ impl PoseMessage {
         Self { frame: frame.into(), ..self }
     }
 
-    /// The pose that the numbers are, or which of them is none: 0 to 2 for the position, 3 for the orientation.
-    pub(super) fn pose(&self) -> Result<Pose, usize> {
+    /// The pose that the numbers are, or what is wrong with them.
+    pub(super) fn pose(&self) -> Result<Pose, Malformed> {
         if let Some(index) = self.position.iter().position(|value| !is_position(*value)) {
-            return Err(index);
+            return Err(Malformed::Position(index));
         }
         let quaternion = Quaternion::from(self.orientation);
         let norm = quaternion.norm();
         // A NaN is in no range.
         if !(1.0 - UNIT..=1.0 + UNIT).contains(&norm) {
-            return Err(3);
+            return Err(Malformed::Orientation);
         }
         let rotation = UnitQuaternion::new_unchecked(quaternion / norm);
         Ok(Pose::from_parts(Vector3::from(self.position).into(), rotation))
     }
+}
+
+/// What is wrong with a pose.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Malformed {
+    /// A coordinate, from 0, is a NaN, infinite or absurdly large.
+    Position(usize),
+    /// The quaternion is not of length 1.
+    Orientation,
 }
 
 /// Whether a number can be a position.

@@ -31,6 +31,8 @@ pub struct LiveWorld {
     motion: Motion,
     psms: ArrayVec<ArmController, MAX_INSTRUMENTS>,
     ecm: Option<ArmController>,
+    /// The remote centres of PSMs, then that of the ECM.
+    world_from_bases: ArrayVec<Pose, { MAX_INSTRUMENTS + 1 }>,
     /// Ticks since the task looked.
     passed: u32,
 }
@@ -60,18 +62,26 @@ impl LiveWorld {
                 .with_homing(homing)
         });
         let psms = psms.collect();
+        let mut world_from_bases: ArrayVec<Pose, { MAX_INSTRUMENTS + 1 }> =
+            arms.iter().map(|arm| *arm.scene_from_base()).collect();
         drop(arms);
+        world_from_bases.extend(env.task.endoscope().map(|arm| *arm.world_from_rcm()));
         let ecm = env.task.endoscope().map(|arm| {
             ArmController::new("ECM", Mechanism::Ecm(*arm.kinematics()), arm.encoders())
                 .with_drivetrain(Drivetrain::new(*arm.offsets()))
                 .with_homing(homing)
         });
-        Ok(Self { env, motion, psms, ecm, passed: 0 })
+        Ok(Self { env, motion, psms, ecm, world_from_bases, passed: 0 })
     }
 
     /// The environment.
     pub fn env(&self) -> &Env {
         &self.env
+    }
+
+    /// The environment, out of the controllers' hands: it may be reset.
+    pub fn into_env(self) -> Env {
+        self.env
     }
 
     /// The arms.
@@ -90,13 +100,9 @@ impl LiveWorld {
     }
 
     /// Where the remote centre of an arm is in the world.
-    pub fn world_from_base(&mut self, name: &str) -> Option<Pose> {
-        let psm = self.psms.iter().position(|arm| arm.name() == name);
-        match psm {
-            Some(index) => Some(*self.env.task.arms()[index].scene_from_base()),
-            None if name == "ECM" => self.env.task.endoscope().map(|arm| *arm.world_from_rcm()),
-            None => None,
-        }
+    pub fn world_from_base(&self, name: &str) -> Option<&Pose> {
+        let index = self.arms().position(|arm| arm.name() == name)?;
+        self.world_from_bases.get(index)
     }
 
     /// The objects and where they are in the world.

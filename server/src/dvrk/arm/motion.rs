@@ -6,7 +6,7 @@ use super::{
     ArmController, Mode, Motion, Progress, ROUNDING, Space, VELOCITY_SECONDS, Velocity, zeros,
 };
 use crate::dvrk::TICKS_PER_SECOND;
-use crate::dvrk::command::{self, Command, PoseMessage};
+use crate::dvrk::command::{self, Command, Malformed, PoseMessage};
 use crate::dvrk::event::{Error, NotReady, Warning, What};
 use crate::dvrk::mechanism::Pose;
 use crate::dvrk::planner::{Axes, Trajectory};
@@ -15,7 +15,8 @@ use crate::dvrk::planner::{Axes, Trajectory};
 const LEAST_HOMING: f64 = 0.1;
 
 impl ArmController {
-    /// Does what a motion command asks for. What is malformed is refused, whatever the state.
+    /// Does what a motion command asks for; others are done elsewhere. What is malformed is refused, whatever the
+    /// state.
     pub(super) fn motion_command(&mut self, command: &Command) -> Result<(), Error> {
         let topic = command.topic();
         match command {
@@ -93,7 +94,16 @@ impl ArmController {
             }
             Command::JawServoJp(angle) => self.jaw_servo(topic, angle)?,
             Command::JawMoveJp(angle) => self.jaw_move(topic, angle)?,
-            _ => unreachable!("{topic} is no motion command"),
+            Command::State(_)
+            | Command::Effort(_)
+            | Command::SetRatio(_)
+            | Command::SetRatioV(_)
+            | Command::SetRatioA(_)
+            | Command::SetBaseFrame(_)
+            | Command::EmulateAdapterPresent(_)
+            | Command::EmulateToolPresent(_)
+            | Command::SetToolType(_)
+            | Command::SetEndoscopeType(_) => {}
         }
         Ok(())
     }
@@ -384,9 +394,9 @@ impl ArmController {
 
 /// The pose of a message, or why there is none.
 pub(super) fn read(command: &'static str, message: &PoseMessage) -> Result<Pose, Error> {
-    message.pose().map_err(|index| match index {
-        3.. => Error::NotARotation { command },
-        _ => Error::NotFinite { command, index },
+    message.pose().map_err(|malformed| match malformed {
+        Malformed::Position(index) => Error::NotFinite { command, index },
+        Malformed::Orientation => Error::NotARotation { command },
     })
 }
 
