@@ -435,7 +435,7 @@ impl Env {
             tracing::warn!(task = self.spec.id, seed, episode, steps, "an object left the theatre");
         }
 
-        let step = self.judge(achieved, desired);
+        let step = self.evaluate(achieved, desired);
         let truncated = self.steps >= self.spec.max_steps;
         if step.terminated || truncated {
             self.state = State::Over;
@@ -444,7 +444,7 @@ impl Env {
     }
 
     /// What the present state is worth, but for the time limit.
-    fn judge(&self, achieved: &[f32], desired: &[f32]) -> Step {
+    fn evaluate(&self, achieved: &[f32], desired: &[f32]) -> Step {
         let reward = match (&self.spec.goal, self.spec.reward) {
             (Some(goal), Reward::Sparse | Reward::Dense) => {
                 self.spec.reward.of(&goal.success, achieved, desired)

@@ -1,7 +1,5 @@
 //! Live worlds: arms that answer dVRK's commands in a task's world, in lock-step.
 
-#![expect(clippy::unwrap_used, reason = "a panic is a test's report, in its helpers too")]
-
 use nalgebra::{UnitQuaternion, Vector3};
 use trocar_proto::{OptionValue, Options};
 use trocar_server::dvrk::{
@@ -168,11 +166,11 @@ fn pick_needle(script: &mut Script) {
 fn a_needle_is_picked_and_placed_by_commands_of_a_robot_alone() {
     for seed in 0..10 {
         let mut script = Script::new(make("NeedlePick-v0", seed, Homing::ToZero));
-        let began = script.world.judge();
+        let began = script.world.evaluate();
         assert!(!began.is_success && began.reward == -1.0);
         let lies = script.world.objects().next().unwrap().1.translation.z;
         pick_needle(&mut script);
-        let is = script.world.judge();
+        let is = script.world.evaluate();
         assert!(is.is_success && is.reward == 0.0, "seed {seed}: {:?}", script.complaints);
         let (name, pose) = script.world.objects().next().unwrap();
         assert!(name == "needle" && pose.translation.z > lies + 5e-3);
@@ -208,7 +206,7 @@ fn act(script: &mut Script, steps: u32) -> bool {
             }
             script.tick();
         }
-        if script.world.judge().is_success {
+        if script.world.evaluate().is_success {
             return true;
         }
     }
@@ -358,10 +356,10 @@ fn the_endoscope_of_a_task_is_an_arm_too() {
     let (_, [achieved, desired]) = seen(script.world.env());
     let camera = script.wrist("ECM");
     assert!((vector(&achieved) - camera.translation.vector).norm() < 1e-6);
-    assert!(!script.world.judge().is_success);
+    assert!(!script.world.evaluate().is_success);
     let way = vector(&desired) - vector(&achieved);
     script.move_to("ECM", &(Pose::from(way) * camera));
-    assert!(script.world.judge().is_success, "{:?}", script.complaints);
+    assert!(script.world.evaluate().is_success, "{:?}", script.complaints);
 }
 
 #[test]

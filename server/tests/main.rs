@@ -11,6 +11,7 @@ mod experts;
 mod grasp;
 mod grasp_modes;
 mod late;
+mod live;
 mod mechanics;
 mod non_rigid;
 mod pad;

@@ -24,7 +24,7 @@ pub use readout::JointState;
 pub const VELOCITY_SECONDS: f64 = 0.1;
 
 /// Ticks over which a measured velocity is an average.
-const WINDOW: usize = 5;
+const AVERAGED: usize = 5;
 
 /// Time between two warnings of the same kind, ticks: 2 s, as dVRK has it.
 const QUIET: u64 = 2 * TICKS_PER_SECOND;
@@ -168,7 +168,7 @@ pub struct ArmController {
     setpoint: Motion,
     measured: Motion,
     /// The latest measured positions, the newest last.
-    history: ArrayVec<Axes, { WINDOW + 1 }>,
+    history: ArrayVec<Axes, { AVERAGED + 1 }>,
     /// The goal of the jaw's latest move, and whether the jaw was servoed since.
     jaw_moved_to: f64,
     is_jaw_servoed: bool,

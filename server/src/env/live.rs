@@ -161,12 +161,12 @@ impl LiveWorld {
 
     /// What the present state is worth to the task: reward, success, whether it is terminal. Live worlds have no time
     /// limit.
-    pub fn judge(&self) -> Step {
+    pub fn evaluate(&self) -> Step {
         let spec = self.env.spec();
         let mut observation = vec![0.0; spec.observation_dim()];
         let [mut achieved, mut desired] = [(); 2].map(|()| vec![0.0; spec.goal_dim()]);
         self.env.observe(&mut observation, &mut achieved, &mut desired);
-        self.env.judge(&achieved, &desired)
+        self.env.evaluate(&achieved, &desired)
     }
 }
 
