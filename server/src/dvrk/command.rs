@@ -204,7 +204,7 @@ pub enum Command {
     EmulateToolPresent(bool),
     /// Which tool it is, `NAME:MODEL[VERSION]`.
     SetToolType(String),
-    /// Which endoscope it is.
+    /// Which endoscope it is: the arm's kinematics follow what is said, whatever there is.
     SetEndoscopeType(String),
 }
 
