@@ -34,7 +34,7 @@ fn run(world: &mut LiveWorld, start: &Pose) {
             let goal = Pose::translation(RADIUS * (1.0 - cos), RADIUS * sin, 0.0) * start;
             command(world, &Command::ServoCp(PoseMessage::new(&goal)));
         }
-        world.tick();
+        world.tick().expect("nothing explodes");
         world.arm_mut(ARM).expect("the task has it").take_events();
     }
 }
@@ -50,7 +50,9 @@ fn servo(criterion: &mut Criterion) {
         let mut world = LiveWorld::new(env, Homing::InPlace).expect("it was reset");
         for word in [StateCommand::Enable, StateCommand::Home] {
             command(&mut world, &Command::State(word));
-            (0..TICKS_PER_SECOND).for_each(|_| world.tick());
+            for _ in 0..TICKS_PER_SECOND {
+                world.tick().expect("nothing explodes");
+            }
         }
         let start = world.arm(ARM).and_then(ArmController::setpoint_cp).expect("it has a tool");
         let (mut ticks, mut taken) = (0, Duration::ZERO);

@@ -79,7 +79,7 @@ impl Script {
     }
 
     fn tick(&mut self) {
-        self.world.tick();
+        self.world.tick().unwrap();
         let names: Vec<String> = self.world.arms().map(|arm| arm.name().to_string()).collect();
         for name in names {
             for event in self.world.arm_mut(&name).unwrap().take_events() {
@@ -322,9 +322,11 @@ fn a_jump_that_an_arm_does_not_follow_faults_it() {
     script.tick();
     assert_eq!(script.state("PSM1").state, State::Fault);
     assert!(script.complaints[0].contains("tracking error"), "{:?}", script.complaints);
+    // It stays where it came to in a tick, and comes back from there.
     let there = script.wrist("PSM1");
+    script.run(0.5);
+    assert_eq!(script.wrist("PSM1"), there);
     script.enable_and_home("PSM1");
-    assert!((script.wrist("PSM1").translation.vector - there.translation.vector).norm() > 0.0);
 }
 
 #[test]
@@ -391,6 +393,42 @@ fn an_episode_that_was_live_is_no_recording_and_may_be_reset() {
     assert!(env.export().is_err() && env.clamped().is_empty());
     env.reset(Some(3));
     assert!(env.export().is_ok());
+}
+
+#[test]
+fn nothing_explodes_whatever_is_commanded() {
+    for (id, seed) in [("NeedlePick-v0", 1), ("BiPegTransfer-v0", 2), ("GauzeRetrieve-v0", 3)] {
+        let mut script = Script::new(make(id, seed, Homing::ToZero));
+        let names: Vec<String> = script.world.arms().map(|arm| arm.name().to_string()).collect();
+        let mut rng = Rng::new(seed, 0);
+        for round in 0..600 {
+            let name = &names[rng.index(names.len())];
+            if !script.state(name).is_homed {
+                // The other arm may be in the way.
+                script.send(name, &Command::State(StateCommand::Enable));
+                script.wait(name, &Command::State(StateCommand::Home));
+            }
+            // Into the table, into each other, at any speed and with jaws that snap.
+            let size = if round % 50 == 0 { 1.0 } else { 0.2 };
+            let mut joints = [0.0, 0.0, 0.14, 0.0, 0.0, 0.0];
+            for joint in &mut joints {
+                *joint += size * rng.uniform(-1.0, 1.0);
+            }
+            joints[2] = rng.uniform(0.07, 0.22);
+            let command = match rng.index(5) {
+                0 => Command::servo_jp(&joints),
+                1 | 2 => Command::MoveJp(joints.to_vec()),
+                3 => Command::JawServoJp(vec![rng.uniform(-0.7, 1.4)]),
+                _ => Command::JawMoveJp(vec![rng.uniform(-0.7, 1.4)]),
+            };
+            script.send(name, &command);
+            script.run(0.1 * rng.unit());
+        }
+        for (name, pose) in script.world.objects() {
+            assert!(pose.translation.vector.norm() < 10.0, "{id}: {name} is at {pose}");
+        }
+        assert!(script.world.evaluate().reward.is_finite());
+    }
 }
 
 #[test]

@@ -3,8 +3,9 @@
 use arrayvec::ArrayVec;
 use trocar_proto::{Code, Rejection};
 
-use super::{Env, Step};
+use super::{Env, State, Step};
 use crate::dvrk::{ArmController, Drivetrain, Homing, Mechanism, SetPoint};
+use crate::error::StepError;
 use crate::sim::frames::Pose;
 use crate::sim::instrument::Posture;
 use crate::sim::motion::{Instruments, MAX_INSTRUMENTS, Motion};
@@ -19,7 +20,7 @@ const HELD_UP: f64 = 0.1e-3;
 /// substep of 1/240 s pass. What stops a step's motion stops these, too; an arm that is held up goes straight
 /// towards its latest set-point once it may.
 ///
-/// The task looks at its world as often as in steps. Observations, reward and success are those of the present state;
+/// The task looks at its world as often as in steps, which are counted. Observations, reward and success are those of the present state;
 /// what a task does at its steps (the target of ActiveTrack moves on) it does then. Objects are held by friction. A
 /// clone is a snapshot, and the same commands at the same ticks give the same bits.
 ///
@@ -112,7 +113,10 @@ impl LiveWorld {
     }
 
     /// Lets a substep pass: the arms follow their controllers' set-points as far as the world lets them.
-    pub fn tick(&mut self) {
+    pub fn tick(&mut self) -> Result<(), StepError> {
+        if self.env.needs_reset() {
+            return Err(StepError::ResetNeeded);
+        }
         let set_points: ArrayVec<SetPoint, MAX_INSTRUMENTS> =
             self.psms.iter_mut().map(ArmController::tick).collect();
         self.follow(&set_points);
@@ -126,7 +130,14 @@ impl LiveWorld {
             self.passed = 0;
             self.env.task.after_step(&mut self.env.world);
             self.env.measure();
+            self.env.steps += 1;
+            if !self.env.world.is_finite() {
+                self.env.state = State::Over;
+                let what = "the position or velocity of an object";
+                return Err(StepError::Simulation { what, step: self.env.steps });
+            }
         }
+        Ok(())
     }
 
     /// Moves the instruments, and lets sensors and controllers know where they came.

@@ -157,11 +157,7 @@ impl ArmController {
     }
 
     /// A pose in the base frame, or why there is none.
-    pub(super) fn local(
-        &self,
-        command: &'static str,
-        message: &PoseMessage,
-    ) -> Result<Pose, Error> {
+    fn local(&self, command: &'static str, message: &PoseMessage) -> Result<Pose, Error> {
         let pose = read(command, message)?;
         Ok(if self.is_in_reference(command, message)? {
             self.base.reference_from_base.inv_mul(&pose)

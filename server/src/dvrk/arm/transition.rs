@@ -46,9 +46,10 @@ impl ArmController {
         }
     }
 
-    /// Stops the arm, which loses its power and its zeros.
+    /// Stops the arm where it is, which loses its power and its zeros.
     fn lose_power(&mut self, state: State) {
         self.interrupt();
+        self.setpoint.position = self.mechanism.clipped(&self.measured.position);
         self.state = state;
         self.has_zeros = false;
         self.resumes_homing = false;

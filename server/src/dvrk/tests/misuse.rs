@@ -178,6 +178,7 @@ fn an_arm_that_does_not_follow_faults_and_recovers() {
     let mut script = faulted();
     let complaints = script.complaints(0);
     assert!(complaints[0].contains("tracking error") && complaints[0].contains("yaw"));
+    assert_eq!(script.joints(), ZERO, "it stays where it is, not where it was to be");
     let state = script.arm.operating_state();
     assert!(state.state == State::Fault && !state.is_homed && !state.is_busy);
     let before = script.heard.len();

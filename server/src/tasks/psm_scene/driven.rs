@@ -38,14 +38,15 @@ impl PsmArm {
         Posture { world_from_wrist, jaw }
     }
 
-    /// The true joints, where they are near to `links`, which are theirs at `posture`.
+    /// The true joints, where they are near to `links`, which are theirs at `posture`; those where the instrument is
+    /// at no place that joints lead to.
     pub fn links_near(&self, links: &[f64; 6], posture: &Posture) -> [f64; 6] {
         let is = &self.instrument.posture().world_from_wrist;
         if *is == posture.world_from_wrist {
             return *links;
         }
         let found = self.kinematics.inverse_unlimited(&self.scene_from_base.inv_mul(is), links);
-        found.expect("an instrument is somewhere")
+        found.unwrap_or(*links)
     }
 
     /// The jaw angle that the motor has, rad, where `asked` was asked for: the opening, and what the cables give where
