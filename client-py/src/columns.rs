@@ -45,16 +45,48 @@ macro_rules! first {
 
 /// Tells the macro `$then` of a column that infos have: its key, then what comes after the role.
 macro_rules! if_told {
-    ({}, $expert:ident, $then:ident!($($column:tt)*)) => {};
-    ({info $key:ident}, $expert:ident, $then:ident!($($column:tt)*)) => {
-        $then!($key, $($column)*)
-    };
     ({expert $key:ident}, $expert:ident, $then:ident!($($column:tt)*)) => {
         if $expert {
             $then!($key, $($column)*);
         }
     };
+    ({$role:ident $key:ident}, $expert:ident, $then:ident!($($column:tt)*)) => {
+        $then!($key, $($column)*)
+    };
+    ({$($role:ident)?}, $expert:ident, $then:ident!($($column:tt)*)) => {};
 }
+
+/// The kind of numbers that [`array`] gives, as NumPy names it.
+macro_rules! dtype {
+    (Flag) => {
+        "bool"
+    };
+    (u64) => {
+        "int64"
+    };
+    (f32) => {
+        "float32"
+    };
+    (u8) => {
+        "uint8"
+    };
+    ($element:ident) => {
+        concat!(stringify!($element), " is told in no info")
+    };
+}
+
+/// What there is to know of a column that infos have.
+macro_rules! info {
+    ({$role:ident $key:ident} $name:ident $element:ident) => {
+        Some((stringify!($role), stringify!($key), stringify!($name), dtype!($element)))
+    };
+    ({$($role:ident)?} $name:ident $element:ident) => {
+        None
+    };
+}
+
+/// Of a column that infos have: its role, its key, its name, the kind of its numbers.
+pub(crate) type Info = (&'static str, &'static str, &'static str, &'static str);
 
 macro_rules! tell_all {
     ($key:ident, $reply:ident, $tell:ident, $($column:ident)*) => {{
@@ -82,6 +114,11 @@ macro_rules! columns {
                 $(stringify!($name) => Ok(array!(reply, copy, $name $element $width)),)*
                 _ => Err(PyKeyError::new_err(name.to_string())),
             }
+        }
+
+        /// The columns that infos have, in their order.
+        pub(crate) fn all_infos() -> Vec<Info> {
+            [$(info!($role $name $element)),*].into_iter().flatten().collect()
         }
 
         /// Tells the columns that infos have: key, key of the mask, array. With `expert`, also the expert's.

@@ -23,6 +23,7 @@ fn _trocar(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add("BINARY", trocar_client::private::BINARY)?;
     let stages = trocar_client::proto::Stage::ALL.map(trocar_client::proto::Stage::name);
     module.add("STAGES", PyTuple::new(module.py(), stages)?)?;
+    module.add("INFOS", PyTuple::new(module.py(), columns::all_infos())?)?;
     module.add_class::<client::Client>()?;
     module.add_class::<session::Session>()?;
     module.add_class::<session::Reply>()?;

@@ -49,8 +49,16 @@ impl Width {
 
 /// Calls the macro `$then` with all columns. Row r belongs to the r-th environment of the request.
 ///
-/// Each is `name: element [width] {role};`. The role says where Gymnasium's infos have it: `{info key}` in each of them,
-/// `{expert key}` where the expert is wanted, `{}` nowhere.
+/// Each is `name: element [width] {role key};`. The key is the one that it has in Gymnasium's infos, if it has one. The
+/// role says what the column tells of:
+///
+/// | role | what | written from |
+/// |---|---|---|
+/// | `step` | what a step brought; zeros after a reset | the field of that name of the server's `Step` |
+/// | `fault` | whether the simulation failed in it | the error of the step |
+/// | `episode` | which episode it is | the environment |
+/// | `expert` | what the scripted expert would do; zeros unless it is wanted | the environment |
+/// | none | the state, pictures, numbers | the environment |
 #[macro_export]
 macro_rules! reply_columns {
     ($then:ident) => {
@@ -62,21 +70,21 @@ macro_rules! reply_columns {
             /// Desired goal of that state: (rows, goal dim).
             desired_goal: f32 [Goal] {};
             /// Reward of the transition: (rows); 0 for a reset.
-            reward: f32 [One] {};
+            reward: f32 [One] {step};
             /// 1 where the episode ended in a terminal state: (rows).
-            terminated: Flag [One] {};
+            terminated: Flag [One] {step};
             /// 1 where the episode ended at its time limit, or because its simulation failed: (rows).
-            truncated: Flag [One] {};
+            truncated: Flag [One] {step};
             /// 1 where the transition ended in success, before any autoreset: (rows).
-            is_success: Flag [One] {info is_success};
+            is_success: Flag [One] {step is_success};
             /// The `Code` of the failure where the environment's simulation failed, else 0: (rows).
-            fault: Flag [One] {info simulation_failed};
+            fault: Flag [One] {fault simulation_failed};
             /// Steps since the episode began: (rows); 0 after a reset or autoreset.
             steps: u32 [One] {};
             /// Seed of the episode: (rows).
-            seed: u64 [One] {info episode_seed};
+            seed: u64 [One] {episode episode_seed};
             /// Number of the episode under its seed: (rows).
-            episode: u64 [One] {info episode_index};
+            episode: u64 [One] {episode episode_index};
             /// Last observation of an episode that a same-step autoreset replaced: (rows, observation dim);
             /// unspecified where neither terminated nor truncated.
             final_observation: f32 [Observation] {};
@@ -110,4 +118,11 @@ macro_rules! reply_columns {
             final_points: f32 [Points] {};
         }
     };
+}
+
+/// What follows the role of a column where that is `step`, else nothing.
+#[macro_export]
+macro_rules! if_step {
+    ({step $($key:ident)?} $($then:tt)*) => { $($then)* };
+    ({$($role:tt)*} $($then:tt)*) => {};
 }

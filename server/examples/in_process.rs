@@ -107,7 +107,7 @@ pub unsafe extern "C" fn trocar_step(
     // SAFETY: the caller's promise.
     let [observation, achieved, desired] = unsafe { seen.arrays(env) };
     let Ok(step) = env.step_into(action, observation, achieved, desired) else { return false };
-    let Step { reward, terminated, truncated, is_success } = step;
+    let Step { reward, terminated, truncated, is_success, .. } = step;
     *outcome = [reward, terminated.into(), truncated.into(), is_success.into()];
     true
 }

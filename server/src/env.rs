@@ -63,8 +63,9 @@ pub(crate) use rebuild::{Identity, Rebuild};
 /// 1300 steps of ten numbers.
 const RECORDED: usize = 13_000;
 
-/// What one step gave, besides what [`Env::observe`] shows.
-#[derive(Debug, Clone, Copy, PartialEq)]
+/// What one step gave, besides what [`Env::observe`] shows: the columns of replies whose role is `step`, see
+/// [`trocar_proto::reply_columns`].
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct Step {
     /// Reward of the transition.
     pub reward: f32,

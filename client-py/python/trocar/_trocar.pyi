@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 __all__ = [
     "BINARY",
+    "INFOS",
     "PRIVATE_SERVER",
     "STAGES",
     "Client",
@@ -33,6 +34,9 @@ __version__: str
 PRIVATE_SERVER: str
 BINARY: str
 STAGES: tuple[str, ...]
+INFOS: tuple[tuple[str, str, str, str], ...]
+"""Of each column that infos have: its role (``step``, ``fault``, ``episode``, ``expert``), its key, its
+name in :class:`Reply`, the kind of its numbers."""
 
 def unique_name() -> str:
     """A name for a private server that no other has."""

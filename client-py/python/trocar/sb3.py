@@ -24,10 +24,12 @@ from trocar._arrays import selected
 from trocar._goal import GoalFunctions
 from trocar.errors import InvalidEnvIds, InvalidOption, InvalidRequest, refuse
 from trocar.registration import NAMESPACE
-from trocar.vector import EPISODE, EXPERT, OUTCOME, TrocarVectorEnv
+from trocar.vector import EPISODE, EXPERT, NOTHING, OUTCOME, TrocarVectorEnv
 
 METHODS = tuple(name for name in vars(GoalFunctions) if name.startswith("compute_"))
 """What :meth:`TrocarVecEnv.env_method` answers: functions of goals, without asking the server."""
+
+_NOTHING = {key: zero.item() for key, zero in NOTHING.items()}
 
 
 def make_vec(
@@ -109,7 +111,7 @@ class TrocarVecEnv(VecEnv):
         told = self._told(infos)
         for row in np.flatnonzero(dones).tolist():
             last = infos["final_info"]
-            self.reset_infos[row] = {**told[row], **dict.fromkeys(OUTCOME, False)}
+            self.reset_infos[row] = {**told[row], **_NOTHING}
             told[row] |= {name: last[name][row].item() for name in (*OUTCOME, *EPISODE)}
             told[row]["terminal_observation"] = infos["final_obs"][row]
         for info, truncated in zip(told, (truncations & ~terminations).tolist(), strict=True):
@@ -173,17 +175,9 @@ class TrocarVecEnv(VecEnv):
 
     def _told(self, infos: dict[str, Any]) -> list[dict[str, Any]]:
         """Infos as a dictionary for each environment, with the values of a single one's."""
-        columns = (infos[name].tolist() for name in (*OUTCOME, *EPISODE))
-        # Written out, since it is done for every environment at every step.
-        told: list[dict[str, Any]] = [
-            {
-                "is_success": success,
-                "simulation_failed": failed,
-                "episode_seed": seed,
-                "episode_index": episode,
-            }
-            for success, failed, seed, episode in zip(*columns, strict=True)
-        ]
+        keys = (*OUTCOME, *EPISODE)
+        rows = zip(*(infos[key].tolist() for key in keys), strict=True)
+        told: list[dict[str, Any]] = [dict(zip(keys, row, strict=True)) for row in rows]
         if EXPERT[0] in infos:
             stages = infos["expert_stage"].tolist()
             for info, action, stage in zip(told, infos["expert_action"], stages, strict=True):

@@ -45,14 +45,24 @@ from trocar.snapshot import Snapshot
 Step = tuple[Observation, NDArray[np.float32], NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]
 """Observations, rewards, terminations, truncations, infos; a row for each environment."""
 
-EPISODE = ("episode_seed", "episode_index")
+
+
+def _keys(*roles: str) -> tuple[str, ...]:
+    """The keys of infos of these roles."""
+    return tuple(key for role, key, _, _ in _trocar.INFOS if role in roles)
+
+
+EPISODE = _keys("episode")
 """Infos that say which episode began; ``episode`` alone is what Gymnasium's recorders use."""
 
-OUTCOME = ("is_success", "simulation_failed")
-"""Infos of transitions; false where a reset made none."""
+OUTCOME = _keys("step", "fault")
+"""Infos of transitions; see :data:`NOTHING`."""
 
-EXPERT = ("expert_action", "expert_stage")
+EXPERT = _keys("expert")
 """Infos of the scripted expert, where it is asked for."""
+
+NOTHING = {key: np.zeros((), dtype) for _, key, _, dtype in _trocar.INFOS if key in OUTCOME}
+"""What infos of transitions are where a reset made none: false, or 0."""
 
 
 class TrocarVectorEnv(
@@ -215,7 +225,7 @@ class TrocarVectorEnv(
     def _beginning(self, chosen: NDArray[np.bool_]) -> tuple[Observation, dict[str, Any]]:
         latest = self._latest.arrays(self._copy)
         expert = {name: np.array(latest.pop(name)) for name in EXPERT}
-        nowhere = {name: np.zeros_like(chosen) for name in OUTCOME}
+        nowhere = {key: np.full(chosen.shape, zero) for key, zero in NOTHING.items()}
         infos = _masked(chosen, **nowhere, **{name: latest.pop(name) for name in EPISODE})
         if self._connection.expert:
             infos |= _masked(chosen, **expert)
@@ -440,18 +450,15 @@ class _Latest:
             self.arrays(copy=False)
 
 
+_STATE = [(key, name) for role, key, name, _ in _trocar.INFOS if role in ("episode", "expert")]
+"""Infos that tell of a state: their keys and columns."""
+
+
 def _arrays(reply: _trocar.Reply, copy: bool) -> dict[str, NDArray[Any]]:
     return {
         **observation(reply, copy),
-        **_episodes(reply),
-        "expert_action": reply.array("expert_action", copy),
-        "expert_stage": reply.array("expert_stage"),
+        **{key: reply.array(name, copy) for key, name in _STATE},
     }
-
-
-def _episodes(reply: _trocar.Reply) -> dict[str, NDArray[Any]]:
-    """Which episodes these are."""
-    return dict(zip(EPISODE, (reply.array("seed"), reply.array("episode")), strict=True))
 
 
 def _masked(mask: NDArray[np.bool_], **values: NDArray[Any]) -> dict[str, Any]:

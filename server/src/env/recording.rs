@@ -185,7 +185,7 @@ impl Replay {
             Ok(step) => step,
             Err(StepError::Simulation { .. }) => {
                 self.failed = true;
-                Step { reward: 0.0, terminated: false, truncated: true, is_success: false }
+                Step { truncated: true, ..Step::default() }
             }
             Err(StepError::InvalidAction(refusal)) => return Some(Err(refusal)),
             Err(StepError::ResetNeeded) => return Some(Err(self.differs("it has ended"))),

@@ -10,7 +10,7 @@ use super::drawing;
 use super::observer::StepObserver;
 use super::rows::Rows;
 use super::scheduler::{Quantum, Splittable};
-use crate::env::{Env, Imaging, Rebuild};
+use crate::env::{Env, Imaging, Rebuild, Step};
 use crate::error::StepError;
 use crate::render::Scene;
 use crate::tasks::Registry;
@@ -359,7 +359,7 @@ impl Splittable for Work<'_> {
                         Some((seeds, episodes)) => env.reset_to(seeds[row], episodes[row]),
                         None => env.reset(None),
                     }
-                    write_transition(&mut self.rows, row, 0.0, false, false, false, 0);
+                    self.rows.write_step(row, &Step::default(), 0);
                     show(env, &mut self.rows, row);
                 }
                 BatchCommand::Step(actions) => {
@@ -371,7 +371,7 @@ impl Splittable for Work<'_> {
                 BatchCommand::Restore(states) => {
                     self.observer.before_leaving(*id, env);
                     env.clone_from(&states[row]);
-                    write_transition(&mut self.rows, row, 0.0, false, false, false, 0);
+                    self.rows.write_step(row, &Step::default(), 0);
                     show(env, &mut self.rows, row);
                 }
             }
@@ -499,30 +499,21 @@ fn step(
 ) {
     if env.needs_reset() {
         env.reset(None);
-        write_transition(rows, row, 0.0, false, false, false, 0);
+        rows.write_step(row, &Step::default(), 0);
         return show(env, rows, row);
     }
     let (achieved, desired) = (rows.achieved_goal.row(row), rows.desired_goal.row(row));
     let result = env.step_into(action, rows.observation.row(row), achieved, desired);
     observer.after_step(id, env, result.is_err());
     match result {
-        Ok(step) => {
-            write_transition(
-                rows,
-                row,
-                step.reward,
-                step.terminated,
-                step.truncated,
-                step.is_success,
-                0,
-            );
-        }
+        Ok(step) => rows.write_step(row, &step, 0),
         // The actions were checked and the episode runs, so only the simulation can have failed:
         // the episode ends for a reason outside of the task.
         Err(error) => {
             debug_assert!(matches!(error, StepError::Simulation { .. }));
             tracing::warn!(%error, seed = env.seed(), episode = env.episode(), "simulation failed");
-            write_transition(rows, row, 0.0, false, true, false, Code::Simulation as u8);
+            let step = Step { truncated: true, ..Step::default() };
+            rows.write_step(row, &step, Code::Simulation as u8);
         }
     }
     if env.needs_reset() && autoreset == Autoreset::SameStep {
@@ -542,22 +533,6 @@ fn step(
 /// Writes the present observation and goals.
 fn show(env: &Env, rows: &mut Rows<'_>, row: usize) {
     env.observe(rows.observation.row(row), rows.achieved_goal.row(row), rows.desired_goal.row(row));
-}
-
-fn write_transition(
-    rows: &mut Rows<'_>,
-    row: usize,
-    reward: f32,
-    terminated: bool,
-    truncated: bool,
-    is_success: bool,
-    fault: u8,
-) {
-    rows.reward.row(row)[0] = reward;
-    rows.terminated.row(row)[0] = terminated.into();
-    rows.truncated.row(row)[0] = truncated.into();
-    rows.is_success.row(row)[0] = is_success.into();
-    rows.fault.row(row)[0] = fault;
 }
 
 fn write_state(env: &Env, want_expert: bool, rows: &mut Rows<'_>, row: usize) {

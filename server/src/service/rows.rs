@@ -5,7 +5,7 @@ use std::mem::take;
 use trocar_proto::columns::Flag;
 use trocar_proto::wire::{Region, ReplyLayout};
 
-use crate::env::Shot;
+use crate::env::{Shot, Step};
 use crate::render::Scene;
 
 /// The pictures of some rows.
@@ -102,6 +102,12 @@ macro_rules! rows {
             pub(crate) fn split_at(self, at: usize) -> (Self, Self) {
                 $(let $name = self.$name.split_at(at);)*
                 (Self { $($name: $name.0),* }, Self { $($name: $name.1),* })
+            }
+
+            /// Writes what a step brought; `fault` is the code of a failure, or 0.
+            pub(crate) fn write_step(&mut self, row: usize, step: &Step, fault: u8) {
+                $(trocar_proto::if_step!($role self.$name.row(row)[0] = step.$name.into());)*
+                self.fault.row(row)[0] = fault;
             }
         }
     };

@@ -5,7 +5,7 @@ use trocar_client::Reply;
 use trocar_proto::columns::{Flag, Width};
 use trocar_proto::{Code, Options, TaskSpec, reply_columns};
 use trocar_server::tasks::Registry;
-use trocar_server::{Env, StepError};
+use trocar_server::{Env, Step, StepError};
 
 /// Environments without a server, which act by themselves: those of even seeds follow the scripted
 /// expert, those of odd seeds draw their actions. `worker.py` does the same.
@@ -42,6 +42,12 @@ macro_rules! shown {
                 })*
                 None
             }
+
+            /// What the last message did.
+            fn transition(&mut self, row: usize, step: &Step, fault: u8) {
+                $(trocar_proto::if_step!($role self.$name[row] = step.$name.into());)*
+                self.fault[row] = fault;
+            }
         }
     };
 }
@@ -70,7 +76,7 @@ impl Twin {
         for (row, env) in self.envs.iter_mut().enumerate() {
             let seed = self.seed.wrapping_add(row as u64);
             env.reset(Some(seed));
-            self.shown.transition(row, 0.0, [false; 3], 0);
+            self.shown.transition(row, &Step::default(), 0);
             self.shown.state(row, env);
             for (column, draw) in self.draws[row * dim..(row + 1) * dim].iter_mut().enumerate() {
                 // A multiplier of Knuth's, so that neighbours begin far apart.
@@ -86,16 +92,13 @@ impl Twin {
         for (row, env) in self.envs.iter_mut().enumerate() {
             if env.needs_reset() {
                 env.reset(None);
-                self.shown.transition(row, 0.0, [false; 3], 0);
+                self.shown.transition(row, &Step::default(), 0);
             } else {
                 match env.step(&self.actions[row * dim..(row + 1) * dim]) {
-                    Ok(step) => {
-                        let flags = [step.terminated, step.truncated, step.is_success];
-                        self.shown.transition(row, step.reward, flags, 0);
-                    }
+                    Ok(step) => self.shown.transition(row, &step, 0),
                     Err(StepError::Simulation { .. }) => {
-                        let flags = [false, true, false];
-                        self.shown.transition(row, 0.0, flags, Code::Simulation as u8);
+                        let step = Step { truncated: true, ..Step::default() };
+                        self.shown.transition(row, &step, Code::Simulation as u8);
                     }
                     Err(error) => return Err(error.into()),
                 }
@@ -153,16 +156,6 @@ impl Twin {
 }
 
 impl Shown {
-    /// What the last message did: `flags` are terminated, truncated, success.
-    fn transition(&mut self, row: usize, reward: f32, flags: [bool; 3], fault: u8) {
-        self.reward[row] = reward;
-        let [terminated, truncated, is_success] = flags.map(u8::from);
-        self.terminated[row] = terminated;
-        self.truncated[row] = truncated;
-        self.is_success[row] = is_success;
-        self.fault[row] = fault;
-    }
-
     /// Where it led.
     fn state(&mut self, row: usize, env: &Env) {
         fn cells(array: &mut [f32], row: usize, width: usize) -> &mut [f32] {
