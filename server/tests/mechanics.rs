@@ -7,8 +7,10 @@ use std::f64::consts::{FRAC_PI_2, PI};
 use nalgebra::{Matrix3, Point3, Vector3};
 use trocar_server::assets::Model;
 use trocar_server::sim::frames::{self, Pose};
-use trocar_server::sim::instrument::{Instrument, JAW_CLOSED, JAW_OPEN, Posture, TIP_OFFSET};
-use trocar_server::sim::motion::carry_out;
+use trocar_server::sim::instrument::{
+    FINGER_HALF, Instrument, JAW_CLOSED, JAW_OPEN, Posture, TIP_OFFSET,
+};
+use trocar_server::sim::motion::{self, Effort, Profile, carry_out};
 use trocar_server::sim::world::{
     BodyId, GRAVITY, Motion, Part, SUBSTEPS_PER_SECOND, Shape, Solver, World,
 };
@@ -172,6 +174,59 @@ fn jaws_press_on_a_wire_as_hard_as_they_are_asked_to() {
         let pressures = arm.pressures(&world);
         assert!(pressures.iter().all(|force| (force - 1.0).abs() < 0.15), "{pressures:?}");
     }
+}
+
+/// What an arm does on its way to `end`, in a fifth of a second.
+fn effort(world: &mut World, arm: &mut Instrument, end: Posture) -> Effort {
+    let profile = Profile::Smoothstep { start: *arm.posture(), end };
+    motion::Motion::new([profile], 48).pass(48, &mut [arm], world)
+}
+
+#[test]
+fn the_peak_force_on_what_is_held_still_is_the_squeeze_and_none_once_it_is_let_go() {
+    for squeeze in [0.5, 1.0] {
+        let (mut world, mut arm, _, _) = gripped_slab(1e-3, squeeze, 0.5);
+        let here = *arm.posture();
+        let held = effort(&mut world, &mut arm, here);
+        assert!((held.peak_force / squeeze - 1.0).abs() < 0.15, "{squeeze} N: {held:?}");
+        assert!(held.tip_path < 1e-9, "{held:?}");
+        let open = Posture { jaw: JAW_OPEN, ..here };
+        assert!(effort(&mut world, &mut arm, open).peak_force > 0.5 * squeeze);
+        let free = effort(&mut world, &mut arm, open);
+        assert!(free.tip_path < 1e-9 && free.peak_force <= 0.0, "{free:?}");
+    }
+    // A wire that both fingers touch at several of its points.
+    let (mut world, mut arm, _, _) = gripped_staple(1.0);
+    let here = *arm.posture();
+    let held = effort(&mut world, &mut arm, here);
+    assert!((held.peak_force - 1.0).abs() < 0.15, "{held:?}");
+}
+
+#[test]
+fn jaws_that_open_between_walls_press_on_them_with_the_torque_of_their_squeeze() {
+    let (squeeze, aside) = (1.0, 3e-3);
+    let mut world = World::new(Solver::LIGHT);
+    let half = Vector3::new(0.02, 0.01, 0.02);
+    for side in [-1.0, 1.0] {
+        let at = Pose::translation(0.0, side * (aside + half.y), half.z);
+        world.insert(Motion::Fixed, &at, 0.0, &[cuboid(half)]);
+    }
+    let wrist = frames::pose([0.0, 0.0, 0.02 + TIP_OFFSET], [PI, 0.0, 0.0]);
+    let closed = Posture { world_from_wrist: wrist, jaw: JAW_CLOSED };
+    let mut arm = Instrument::insert(&mut world, closed, squeeze);
+    arm.set_friction(&mut world, 0.0);
+    let open = Posture { jaw: JAW_OPEN, ..closed };
+    effort(&mut world, &mut arm, open);
+    let pressed = effort(&mut world, &mut arm, open);
+    // The outer corner of a finger's end meets the wall, where the finger is turned by half the opening.
+    let turn = 0.5 * arm.opening(&world);
+    let (y, z) = (2.0 * FINGER_HALF.y, 2.0 * FINGER_HALF.z);
+    let lever = z * turn.cos() - y * turn.sin();
+    assert!((y * turn.cos() + z * turn.sin() - aside).abs() < 0.05e-3, "{turn}");
+    let expected = squeeze * (TIP_OFFSET - 1e-3) / lever;
+    let ratio = pressed.peak_force / expected;
+    eprintln!("{:.3} N, {ratio:.3} of the torque's", pressed.peak_force);
+    assert!((ratio - 1.0).abs() < 0.03, "{pressed:?} for {expected}");
 }
 
 /// By how much the forces of contacts differ from those that 200 sweeps of the solver find, as a share of these: the mean

@@ -5,6 +5,7 @@ use nalgebra::Vector3;
 use super::Env;
 use crate::error::StepError;
 use crate::render::Scene;
+use crate::sim::motion::Effort;
 use crate::sim::random::Rng;
 use crate::tasks::AnyTask;
 use crate::tasks::options::Domain;
@@ -75,7 +76,13 @@ impl Env {
 
     /// Sends `action` on its way and lets the time of a step pass. Every action is on its way for as long, so one
     /// arrives in each step, as far into it, once the first has arrived; until then the arms hold.
-    pub(super) fn pass(&mut self, action: &[f32], parts: u32, see: &mut dyn FnMut(Scene)) {
+    /// Returns what the arms did.
+    pub(super) fn pass(
+        &mut self,
+        action: &[f32],
+        parts: u32,
+        see: &mut dyn FnMut(Scene),
+    ) -> Effort {
         let substeps = self.substeps;
         self.delayed.extend(action.iter().map(|number| number.clamp(-1.0, 1.0)));
         let (late_steps, late) = (self.latency / substeps, self.latency % substeps);
@@ -85,37 +92,42 @@ impl Env {
         if arrival != Some(0) && !has_moved {
             self.time.command(self.task.as_mut(), &mut self.world, None, substeps);
         }
+        let mut effort = Effort::default();
         let mut now = 0;
         for part in 1..=parts {
             let end = substeps * part / parts;
             if let Some(late) = arrival.filter(|late| (now..end).contains(late)) {
                 if late > now {
-                    self.time.pass(self.task.as_mut(), &mut self.world, late - now);
+                    effort += self.time.pass(self.task.as_mut(), &mut self.world, late - now);
                 }
-                self.give_command(action.len());
+                effort += self.give_command(action.len());
                 now = late;
             }
-            self.time.pass(self.task.as_mut(), &mut self.world, end - now);
+            effort += self.time.pass(self.task.as_mut(), &mut self.world, end - now);
             now = end;
             if part < parts {
                 see(self.seen_after(f64::from(now) / f64::from(substeps)));
             }
         }
-        self.time.sense(self.task.as_mut());
+        effort += self.time.sense(self.task.as_mut());
         self.task.after_step(&mut self.world);
+        effort
     }
 
-    /// Gives the task the oldest action that is on its way, of `count` numbers.
-    fn give_command(&mut self, count: usize) {
+    /// Gives the task the oldest action that is on its way, of `count` numbers. Returns what an arm did before, as far
+    /// as that is known only now.
+    fn give_command(&mut self, count: usize) -> Effort {
         let Self { task, world, time, command, .. } = self;
         let task = task.as_mut();
+        let mut effort = Effort::default();
         if !self.latency.is_multiple_of(self.substeps) {
-            time.sense(task); // increments count from where the arms are now
+            effort = time.sense(task); // increments count from where the arms are now
         }
         command.clear();
         command.extend(self.delayed.drain(..count));
         self.actuation.disturb(task);
         time.command(task, world, Some(command), self.substeps);
+        effort
     }
 
     /// What there is to see after a `part` of the step.

@@ -105,3 +105,26 @@ fn the_jacobian_is_the_derivative_of_the_forward_kinematics() {
         }
     }
 }
+
+#[test]
+fn the_path_of_the_tip_is_as_long_as_a_fine_polygon() {
+    for ecm in MODELS {
+        let mut rng = ChaCha8Rng::seed_from_u64(3);
+        for _ in 0..1000 {
+            let start = random_joints(&ecm, &mut rng);
+            // As far as commands go in a step.
+            let step = [0.06, 0.06, 0.01, 0.06].map(|most: f64| rng.random_range(-most..=most));
+            let at = |part: f64| std::array::from_fn(|joint| start[joint] + part * step[joint]);
+            let places: Vec<_> = (0..=1000)
+                .map(|part| ecm.base_from_camera(&at(f64::from(part) / 1000.0)).translation.vector)
+                .collect();
+            let polygon: f64 = places.windows(2).map(|pair| (pair[1] - pair[0]).norm()).sum();
+            let path = ecm.tip_path(&start, &at(1.0));
+            assert!((path / polygon - 1.0).abs() < 1e-6, "{start:?}, {step:?}: {path}, {polygon}");
+        }
+        // Straight on, and about its own axis.
+        let path = ecm.tip_path(&[0.3, 0.2, 0.1, 0.0], &[0.3, 0.2, 0.11, 0.5]);
+        assert!((path - 0.01).abs() < 1e-15, "{path}");
+        assert!(ecm.tip_path(&[0.3, 0.2, 0.1, 0.0], &[0.3, 0.2, 0.1, 0.5]) == 0.0);
+    }
+}

@@ -226,6 +226,16 @@ impl Instrument {
         self.finger_bodies().map(|finger| world.pressure(finger))
     }
 
+    /// Largest force between one of its jaws and a body that it touched in the last substep, N; friction is not in it.
+    pub fn jaw_force(&self, world: &World) -> f64 {
+        if self.stale {
+            return 0.0;
+        }
+        let own = self.bodies();
+        let forces = self.finger_bodies().map(|finger| world.strongest_contact(finger, &own));
+        forces.into_iter().fold(0.0, f64::max)
+    }
+
     /// Whether `object` is attached to the wrist.
     pub fn is_tied_to(&self, object: BodyId) -> bool {
         self.attached.is_some_and(|(attached, _)| attached == object)

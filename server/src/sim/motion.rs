@@ -15,9 +15,11 @@ use nalgebra::Vector3;
 use super::instrument::{Instrument, Posture};
 use super::world::{Push, World};
 
+mod effort;
 mod guard;
 mod profile;
 
+pub use effort::Effort;
 pub use profile::Profile;
 
 /// Most instruments of a task.
@@ -207,29 +209,55 @@ impl Motion {
     }
 
     /// Lets one substep pass: instruments go on as far as they may, and the world advances.
-    pub fn advance(&mut self, instruments: &mut [&mut Instrument], world: &mut World) {
+    pub fn advance(&mut self, instruments: &mut [&mut Instrument], world: &mut World) -> Effort {
         self.now += 1;
+        let before: Places = instruments.iter().map(|each| *each.posture()).collect();
         guard::drive(&mut self.ways, instruments, world, self.now, self.substeps);
         world.advance();
-        for (way, instrument) in self.ways.iter_mut().zip(instruments) {
+        let mut effort = Effort::default();
+        for ((way, instrument), before) in self.ways.iter_mut().zip(instruments).zip(before) {
             way.push = instrument.push(world);
+            let tip = |posture: &Posture| posture.world_from_tip().translation.vector;
+            effort += Effort {
+                tip_path: (tip(instrument.posture()) - tip(&before)).norm(),
+                peak_force: instrument.jaw_force(world),
+            };
         }
+        effort
     }
 
     /// Lets `substeps` substeps pass, of those that are left; while nothing else would change, of the instruments
     /// alone.
-    pub fn pass(&mut self, substeps: u32, instruments: &mut [&mut Instrument], world: &mut World) {
+    pub fn pass(
+        &mut self,
+        substeps: u32,
+        instruments: &mut [&mut Instrument],
+        world: &mut World,
+    ) -> Effort {
         let until = self.now + substeps;
+        let mut effort = Effort::default();
         while self.now < until {
-            let is_quiet = world.at_rest()
-                && (self.skip(until, instruments, world) || self.glide(1, instruments, world));
-            if !is_quiet {
-                self.advance(instruments, world);
+            let mut quiet = None;
+            if world.at_rest() {
+                quiet = self.skip(until, instruments, world);
+                if quiet.is_none() {
+                    quiet = self.glide(1, instruments, world);
+                }
             }
+            effort += match quiet {
+                Some(tip_path) => Effort { tip_path, peak_force: 0.0 },
+                None => self.advance(instruments, world),
+            };
         }
+        effort
     }
 
-    fn skip(&mut self, until: u32, instruments: &mut [&mut Instrument], world: &World) -> bool {
+    fn skip(
+        &mut self,
+        until: u32,
+        instruments: &mut [&mut Instrument],
+        world: &World,
+    ) -> Option<f64> {
         if until == self.substeps {
             self.finish(instruments, world)
         } else {
@@ -237,35 +265,46 @@ impl Motion {
         }
     }
 
-    /// Brings the instruments to the end where nothing is in their way; whether it did. The world must be at rest.
-    fn finish(&mut self, instruments: &mut [&mut Instrument], world: &World) -> bool {
+    /// Brings the instruments to the end where nothing is in their way, and gives the length of their tips' paths, m;
+    /// `None` where something is. The world must be at rest.
+    fn finish(&mut self, instruments: &mut [&mut Instrument], world: &World) -> Option<f64> {
         let ends: Places = self.ways.iter().map(|way| way.profile.end()).collect();
         if !are_free(&ends, instruments, world) {
-            return false;
+            return None;
         }
+        let mut tip_path = 0.0;
         for ((way, instrument), end) in self.ways.iter_mut().zip(instruments).zip(ends) {
-            (way.done, way.aside) = (self.substeps, Vector3::zeros());
+            way.aside = Vector3::zeros();
+            tip_path += way.tip_path(instrument.posture(), self.substeps, self.substeps);
+            way.done = self.substeps;
             instrument.place(end);
         }
         self.now = self.substeps;
-        true
+        Some(tip_path)
     }
 
-    /// Brings the instruments on by `substeps` substeps where nothing is in their way; whether it did. The world
-    /// must be at rest.
-    fn glide(&mut self, substeps: u32, instruments: &mut [&mut Instrument], world: &World) -> bool {
+    /// Brings the instruments on by `substeps` substeps where nothing is in their way, and gives the length of their
+    /// tips' paths, m; `None` where something is. The world must be at rest.
+    fn glide(
+        &mut self,
+        substeps: u32,
+        instruments: &mut [&mut Instrument],
+        world: &World,
+    ) -> Option<f64> {
         let now = self.now + substeps;
         let next = |way: &Way| way.along(way.done + substeps, now, self.substeps);
         let places: Places = self.ways.iter().map(next).collect();
         if !are_free(&places, instruments, world) {
-            return false;
+            return None;
         }
+        let mut tip_path = 0.0;
         for ((way, instrument), place) in self.ways.iter_mut().zip(instruments).zip(places) {
+            tip_path += way.tip_path(instrument.posture(), way.done + substeps, self.substeps);
             (way.done, way.push) = (way.done + substeps, Push::NONE);
             instrument.place(place);
         }
         self.now = now;
-        true
+        Some(tip_path)
     }
 
     /// How far the instruments came, one after the other.

@@ -248,10 +248,20 @@ impl EcmArm {
         [limit.min - self.joints[3], limit.max - self.joints[3]]
     }
 
+    /// The joints as they really are, rad; index 2 in m.
+    pub fn true_joints(&self) -> [f64; 4] {
+        std::array::from_fn(|joint| self.joints[joint] + self.offsets[joint])
+    }
+
+    /// Length of the path of the endoscope's tip, m, since the true joints were `joints` and moved evenly. Where the
+    /// camera is misplaced on its arm, the tip is not.
+    pub fn tip_path(&self, joints: &[f64; 4]) -> f64 {
+        self.kinematics.tip_path(joints, &self.true_joints())
+    }
+
     /// The true camera, world frame.
     pub fn world_from_camera(&self) -> Pose {
-        let joints = std::array::from_fn(|joint| self.joints[joint] + self.offsets[joint]);
-        self.camera_with(&joints)
+        self.camera_with(&self.true_joints())
     }
 
     /// The camera as an expert sees it, world frame.
@@ -271,7 +281,7 @@ impl EcmArm {
     /// endoscope.
     pub fn draw(&self, scene: &mut Scene) {
         theatre::draw_tiles(scene);
-        let joints = std::array::from_fn(|joint| self.joints[joint] + self.offsets[joint]);
+        let joints = self.true_joints();
         theatre::draw_ecm(scene, &self.kinematics, &self.world_from_rcm, &joints);
         scene.look_through(&self.camera_with(&joints), false);
         scene.stage = Aabb::new([-0.8, -0.7, 0.0], [0.9, 0.7, 0.9]);

@@ -2,7 +2,7 @@
 //! arms are.
 
 use super::AnyTask;
-use crate::sim::motion::{Instruments, Motion};
+use crate::sim::motion::{Effort, Instruments, Motion};
 use crate::sim::world::World;
 
 /// The motion of a task's arms, which may begin and end in the middle of a step.
@@ -25,21 +25,31 @@ impl Time {
     }
 
     /// Lets `substeps` pass, at most as many as are left of the motion.
-    pub(crate) fn pass(&mut self, task: &mut dyn AnyTask, world: &mut World, substeps: u32) {
+    pub(crate) fn pass(
+        &mut self,
+        task: &mut dyn AnyTask,
+        world: &mut World,
+        substeps: u32,
+    ) -> Effort {
         let mut arms = task.arms();
         let mut instruments: Instruments<'_> =
             arms.iter_mut().map(|arm| arm.instrument()).collect();
-        self.motion.pass(substeps, &mut instruments, world);
+        self.motion.pass(substeps, &mut instruments, world)
     }
 
-    /// Lets the arms' sensors report where the arms are.
-    pub(crate) fn sense(&self, task: &mut dyn AnyTask) {
+    /// Lets the arms' sensors report where the arms are. The endoscope, which touches nothing, moves only then; its
+    /// part of the effort is given.
+    pub(crate) fn sense(&self, task: &mut dyn AnyTask) -> Effort {
         for (arm, arrival) in task.arms().iter_mut().zip(self.motion.arrivals()) {
             arm.arrive(arrival);
         }
+        let mut effort = Effort::default();
         if let Some(endoscope) = task.endoscope() {
+            let joints = endoscope.true_joints();
             endoscope.glide(self.motion.passed());
+            effort.tip_path = endoscope.tip_path(&joints);
         }
+        effort
     }
 }
 

@@ -5,6 +5,7 @@ use rapier3d::parry::bounding_volume::BoundingVolume;
 use rapier3d::parry::query;
 use rapier3d::prelude::{ColliderHandle, ContactPair, RigidBodyHandle};
 
+use super::substep::ContactImpulse;
 use super::{BodyId, PREDICTION, SUBSTEPS_PER_SECOND, World};
 use crate::sim::frames::{self, Pose, SCALE};
 
@@ -93,6 +94,39 @@ impl World {
         let newtons = SUBSTEPS_PER_SECOND / f64::powi(SCALE, 4);
         let touches = self.impulses.iter().filter(|touch| touch.bodies.contains(&body.0));
         touches.map(|touch| newtons * f64::from(touch.impulse)).sum()
+    }
+
+    /// Largest force that any one body, but for those of `own`, exerted on `body` in the last substep, N: along the
+    /// normals, summed over where both touch. Friction is not in it.
+    pub fn strongest_contact(&self, body: BodyId, own: &[BodyId]) -> f64 {
+        let newtons = SUBSTEPS_PER_SECOND / f64::powi(SCALE, 4);
+        let other = |touch: &ContactImpulse| match touch.bodies {
+            [one, other] if one == body.0 => Some(other),
+            [one, other] if other == body.0 => Some(one),
+            _ => None,
+        };
+        let pressing = || self.impulses.iter().filter(|touch| touch.impulse > 0.0);
+        let mut strongest: f64 = 0.0;
+        for (index, touch) in pressing().enumerate() {
+            let Some(by) = other(touch).filter(|by| own.iter().all(|each| each.0 != *by)) else {
+                continue;
+            };
+            // Bodies come in any order: each is summed up where it is first met.
+            if pressing().take(index).any(|before| other(before) == Some(by)) {
+                continue;
+            }
+            let sum = pressing().filter(|touch| other(touch) == Some(by)).fold(
+                Vector3::zeros(),
+                |sum, touch| {
+                    let normal =
+                        if touch.bodies[0] == body.0 { -touch.normal } else { touch.normal };
+                    let normal = Vector3::new(normal.x, normal.y, normal.z).cast::<f64>();
+                    sum + normal * f64::from(touch.impulse)
+                },
+            );
+            strongest = strongest.max(newtons * sum.norm());
+        }
+        strongest
     }
 
     /// Where bodies pressed on each other in the last substep, to look at. What sleeps presses as it did
