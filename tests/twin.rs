@@ -126,6 +126,8 @@ fn show(env: &Env, step: Option<Step>, last: Option<[Vec<u32>; 3]>) -> Row {
         terminated: step.is_some_and(|step| step.terminated),
         truncated: step.is_some_and(|step| step.truncated),
         is_success: step.is_some_and(|step| step.is_success),
+        tip_path: step.map_or(0.0, |step| step.tip_path).to_bits(),
+        peak_force: step.map_or(0.0, |step| step.peak_force).to_bits(),
         steps: env.steps(),
         seed: env.seed(),
         episode: env.episode(),

@@ -88,6 +88,25 @@ def test_episodes_of_another_rate_are_as_long_in_seconds(server: str) -> None:
     env.close()
 
 
+def test_infos_tell_how_far_tips_go_and_how_hard_jaws_press(server: str) -> None:
+    with make("NeedleReach-v0", server) as env:
+        assert env.reset(seed=0)[1]["tip_path"] == 0.0
+        info = env.step(np.array([0.6, -0.8, 0, 0, 0], np.float32))[-1]
+        assert info["tip_path"] == pytest.approx(0.01, rel=1e-6)
+        assert info["peak_force"] == 0.0
+    envs = trocar.TrocarVectorEnv("NeedlePick-v0", 4, server=server, expert=True)
+    infos = envs.reset(seed=0)[1]
+    forces = []
+    for _ in range(50):
+        infos = envs.step(infos["expert_action"])[-1]
+        forces.append(infos["peak_force"])
+    assert forces[0].dtype == infos["tip_path"].dtype == np.float32
+    # Nothing is touched at first; in the end the needle hangs between fingers of 1 N each.
+    assert not forces[0].any()
+    assert (np.abs(forces[-1][infos["is_success"]] - 1.0) < 0.3).all()
+    envs.close()
+
+
 def test_success_ends_an_episode_where_that_is_asked_for(server: str) -> None:
     env = make("NeedleReach-v0", server, terminate="success", expert=True)
     obs, info = env.reset(seed=1)

@@ -77,6 +77,10 @@ macro_rules! reply_columns {
             truncated: Flag [One] {step};
             /// 1 where the transition ended in success, before any autoreset: (rows).
             is_success: Flag [One] {step is_success};
+            /// Length of the paths of the tips in the step, m: (rows); of the jaws of all arms together, or of the endoscope.
+            tip_path: f32 [One] {step tip_path};
+            /// Largest force between a jaw and a body in the step, N: (rows); 0 where the jaws touched nothing.
+            peak_force: f32 [One] {step peak_force};
             /// The `Code` of the failure where the environment's simulation failed, else 0: (rows).
             fault: Flag [One] {fault simulation_failed};
             /// Steps since the episode began: (rows); 0 after a reset or autoreset.

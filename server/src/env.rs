@@ -28,6 +28,7 @@ use trocar_proto::{Code, Options, Placement, Rejection, Stage, TaskSpec};
 
 use crate::error::StepError;
 use crate::render::Scene;
+use crate::sim::motion::Effort;
 use crate::sim::random::Rng;
 use crate::sim::world::World;
 use crate::tasks::expert::{ExpertInput, Sees};
@@ -75,6 +76,12 @@ pub struct Step {
     pub truncated: bool,
     /// The goal is reached now; never for tasks without goals.
     pub is_success: bool,
+    /// Length of the paths of the tips, m: of the jaws of all arms together, or of the endoscope. A path is the polygon
+    /// through where the true tip is after each substep, 1/240 s.
+    pub tip_path: f32,
+    /// Largest force between a jaw and a body that it touched, N, as the average of a substep; 0 where the jaws touched
+    /// nothing. Friction is not in it, nor what the arm itself would bear: nothing moves it from its path.
+    pub peak_force: f32,
 }
 
 /// An environment as one value: world, task, randomness and step count. A clone is a snapshot and
@@ -413,7 +420,7 @@ impl Env {
         self.check(action)?;
         self.take_down(action);
         self.pass_noise();
-        self.pass(action, 1, &mut |_| {});
+        let Effort { tip_path, peak_force } = self.pass(action, 1, &mut |_| {});
         self.measure();
         self.steps += 1;
         self.seen.is_present = false;
@@ -441,10 +448,11 @@ impl Env {
         if step.terminated || truncated {
             self.state = State::Over;
         }
-        Ok(Step { truncated, ..step })
+        let (tip_path, peak_force) = (tip_path as f32, peak_force as f32);
+        Ok(Step { truncated, tip_path, peak_force, ..step })
     }
 
-    /// What the present state is worth, but for the time limit.
+    /// What the present state is worth, but for the time limit and what led to it.
     fn evaluate(&self, achieved: &[f32], desired: &[f32]) -> Step {
         let reward = match (&self.spec.goal, self.spec.reward) {
             (Some(goal), Reward::Sparse | Reward::Dense) => {
@@ -455,7 +463,7 @@ impl Env {
         let is_success = self.spec.is_success(achieved, desired);
         let terminated =
             self.task.terminated(&self.world) || (is_success && self.terminates_on_success);
-        Step { reward, terminated, truncated: false, is_success }
+        Step { reward, terminated, is_success, ..Step::default() }
     }
 
     /// Writes the present observation and goals, of the specification's dimensions; zeros before

@@ -4,7 +4,7 @@
 use std::collections::BTreeMap;
 
 use nalgebra::UnitQuaternion;
-use trocar_proto::{OptionValue, Options};
+use trocar_proto::{OptionValue, Options, Stage};
 use trocar_server::env::Env;
 use trocar_server::error::StepError;
 use trocar_server::render::Scene;
@@ -74,10 +74,11 @@ fn a_world_driven_with_the_set_points_of_a_step_has_the_bits_of_that_step() {
             let mut driven = stepped.clone();
             while stepped.steps() + 1 < stepped.spec().max_steps {
                 let action = mixed(&stepped, &mut rng);
-                stepped.step(&action).unwrap();
+                let step = stepped.step(&action).unwrap();
                 let came_to = stepped.clone().drive().unwrap().postures();
                 let mut drive = driven.drive().unwrap();
                 let profiles = drive.command(&action).unwrap();
+                let (mut before, mut path) = (drive.postures(), 0.0);
                 for now in 1..=48 {
                     // An arm with nothing in its way is put to the end: interpolation there may round.
                     let set_point = |(profile, end): (&Profile, &Posture)| {
@@ -86,8 +87,16 @@ fn a_world_driven_with_the_set_points_of_a_step_has_the_bits_of_that_step() {
                     };
                     let set_points: Vec<_> = profiles.iter().zip(&came_to).map(set_point).collect();
                     drive.advance(&set_points);
+                    let after = drive.postures();
+                    let tip = |posture: &Posture| posture.world_from_tip().translation.vector;
+                    let ways = before.iter().zip(&after);
+                    path += ways.map(|(one, next)| (tip(next) - tip(one)).norm()).sum::<f64>();
+                    before = after;
                 }
                 drive.sense();
+                // Where nothing is in its way any more, an arm may do the rest of its turn in one substep.
+                let told = f64::from(step.tip_path);
+                assert!((told - path).abs() < 1e-3 * path + 1e-9, "{id} {seed}: {told}, {path}");
                 assert_eq!(bits(&driven), bits(&stepped), "{id} {seed}, step {}", stepped.steps());
                 touched += usize::from(!stepped.world().at_rest());
             }
@@ -149,6 +158,68 @@ fn the_same_movement_at_twice_the_rate_ends_at_the_same_place() {
                 assert!(turned < 0.1, "{id} {seed} {mode}: {turned}");
             }
         }
+    }
+}
+
+#[test]
+fn the_path_of_a_tip_is_as_long_as_is_commanded_at_every_rate_and_however_late() {
+    let joint = |options: Options| options.with_text("action", "joint");
+    for (id, options, action) in [
+        ("NeedleReach-v0", Options::new(), vec![0.6, -0.8, 0.0, 0.0, 0.0]),
+        ("NeedlePick-v0", Options::new(), vec![0.6, -0.8, 0.0, 1.0, 1.0]),
+        ("EcmReach-v0", joint(Options::new()), vec![0.0, 0.0, 1.0, 1.0]),
+    ] {
+        let nominal = make(id, &options).spec().seconds_per_step;
+        for hertz in [None, Some(20.0), Some(60.0)] {
+            for late in [0.0, 0.05, nominal.into(), 0.217] {
+                let options = with_domain(&options, &[("latency_seconds", late)]);
+                let options = match hertz {
+                    Some(hertz) => options.with("rate", OptionValue::Number(hertz)),
+                    None => options,
+                };
+                let mut env = make(id, &options);
+                env.reset(Some(3));
+                // As many of them as move by 10 mm, and then none until all have arrived.
+                let seconds = f64::from(env.spec().seconds_per_step);
+                let moves = (f64::from(nominal) / seconds).round() as usize;
+                let rest = (late / seconds).ceil() as usize + 3;
+                let still = vec![0.0; action.len()];
+                let mut path = 0.0;
+                for action in [&action; 1].repeat(moves).into_iter().chain([&still; 1].repeat(rest))
+                {
+                    let step = env.step(action).unwrap();
+                    path += f64::from(step.tip_path);
+                    assert_eq!(step.peak_force.to_bits(), 0, "nothing is touched");
+                }
+                assert!((path - 0.01).abs() < 1e-6, "{id}, {hertz:?}, {late} s late: {path}");
+            }
+        }
+    }
+}
+
+#[test]
+fn the_peak_force_tells_when_jaws_touch_something_and_how_hard_they_hold_it() {
+    for (id, grasp) in [
+        ("NeedlePick-v0", "interact"),
+        ("NeedlePick-v0", "weld"),
+        ("NeedlePick-v0", "approx"),
+        ("GauzeRetrieve-v0", "interact"),
+    ] {
+        let mut env = make(id, &Options::new().with_text("grasp", grasp));
+        env.reset(Some(2));
+        let mut forces = vec![];
+        while !env.needs_reset() {
+            let stage = env.stage();
+            let action = expert(&env);
+            forces.push((stage, env.step(&action).unwrap().peak_force));
+        }
+        let of = |stage: Stage| forces.iter().filter(move |(each, _)| *each == stage);
+        assert!(of(Stage::Approach).take(3).all(|(_, force)| *force == 0.0), "{id}: {forces:?}");
+        // Fingers pass through what a tie holds as soon as they are near.
+        let (_, last) = forces.last().unwrap();
+        let held = if grasp == "approx" { 0.0..=0.0 } else { 0.85..=1.3 };
+        assert!(held.contains(last), "{id}, {grasp}: {forces:?}");
+        assert!(of(Stage::Carry).count() > 3 && of(Stage::Carry).all(|(_, force)| *force < 3.0));
     }
 }
 
