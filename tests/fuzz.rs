@@ -10,9 +10,10 @@ use mutation::Mutator;
 use rand::{RngCore, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use trocar_client::{CallError, SessionRequest};
+use trocar_proto::control::ControlRequest;
 use trocar_proto::wire::{Header, kind};
 use trocar_server::Registry;
-use trocar_server::service::{Admission, Answer, ServerConfig, Usage};
+use trocar_server::service::{Admission, ServerConfig, Usage};
 
 use crate::harness::{Server, eventually, soak};
 use crate::twin::Bystander;
@@ -35,7 +36,8 @@ fn hostile_control_messages_do_not_harm_a_running_server() {
     for index in 0..count() {
         let message = mutator.next();
         // To end the server is every client's right, so it is no attack.
-        if admission.check(&message.header, &message.bytes, &Usage::default()) == Answer::Shutdown {
+        let checked = admission.check(&message.header, &message.bytes, &Usage::default());
+        if checked.is_ok_and(|message| message.request == ControlRequest::Shutdown) {
             continue;
         }
         if let Err(error) = client.send_raw(message.header, &message.bytes) {

@@ -4,14 +4,14 @@ use std::net::SocketAddr;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
+use trocar_proto::TaskSpec;
 use trocar_proto::control::{
-    ClientInfo, ControlReply, ControlRequest, ServerInfo, ServerStatus, SessionRequest,
+    ClientInfo, ControlCalls, ControlReply, ServerInfo, ServerStatus, SessionRequest,
 };
 use trocar_proto::endpoint::{Endpoint, Membership, ServerName, ServerState};
 use trocar_proto::open_files::{OpenFiles, SESSION_FILES};
 use trocar_proto::spec::Options;
 use trocar_proto::wire::Header;
-use trocar_proto::{PROTOCOL_VERSION, TaskSpec};
 
 use crate::error::{CallError, ConnectError};
 use crate::private;
@@ -134,12 +134,8 @@ impl Client {
         let link = Link::open(membership, epoch)?;
         let info =
             ClientInfo { node: link.node_id(), pid: std::process::id(), language: language.into() };
-        match link.call(&ControlRequest::Hello(info.clone()))? {
-            ControlReply::Hello(server) => {
-                Ok(Self { link: Arc::new(Owned::new(link)), info, server, origin })
-            }
-            other => Err(unexpected(&other)),
-        }
+        let server = link.hello(info.clone())?;
+        Ok(Self { link: Arc::new(Owned::new(link)), info, server, origin })
     }
 
     /// The server, as it introduced itself.
@@ -149,74 +145,48 @@ impl Client {
 
     /// The ids of the tasks that the server offers.
     pub fn tasks(&self) -> Result<Vec<String>, CallError> {
-        match self.call(&ControlRequest::ListTasks)? {
-            ControlReply::Tasks(ids) => Ok(ids),
-            other => Err(unexpected(&other)),
-        }
+        self.link.get()?.list_tasks()
     }
 
     /// What a task looks like under some options.
     pub fn describe(&self, task: &str, options: &Options) -> Result<TaskSpec, CallError> {
-        let request = ControlRequest::DescribeTask { task: task.into(), options: options.clone() };
-        match self.call(&request)? {
-            ControlReply::Task(spec) => Ok(*spec),
-            other => Err(unexpected(&other)),
-        }
+        self.link.get()?.describe_task(task.into(), options.clone()).map(|spec| *spec)
     }
 
     /// Opens a session: one task, N environments, one seed, its options.
     pub fn open(&self, request: &SessionRequest) -> Result<Session, CallError> {
         OpenFiles::now().check("a session", SESSION_FILES).map_err(CallError::Transport)?;
-        let open =
-            ControlRequest::OpenSession { request: request.clone(), client: self.info.clone() };
-        match self.call(&open)? {
-            // Where the server has died meanwhile, its successor may have removed the services.
-            ControlReply::Opened(info) => Session::new(self.clone(), request.clone(), *info)
-                .map_err(|error| self.link.check_server().err().unwrap_or(error)),
-            other => Err(unexpected(&other)),
-        }
+        let info = self.link.get()?.open_session(request.clone(), self.info.clone())?;
+        // Where the server has died meanwhile, its successor may have removed the services.
+        Session::new(self.clone(), request.clone(), *info)
+            .map_err(|error| self.link.check_server().err().unwrap_or(error))
     }
 
     /// The server's clients and sessions, and how fast it runs.
     pub fn status(&self) -> Result<ServerStatus, CallError> {
-        match self.call(&ControlRequest::Status)? {
-            ControlReply::Status(status) => Ok(status),
-            other => Err(unexpected(&other)),
-        }
+        self.link.get()?.status()
     }
 
     /// Begins to record an environment of any session, its own or another client's: a snapshot each
     /// `every` steps and one at the end of each episode. [`Self::recorded`] fetches them.
     pub fn record(&self, session: u64, env: u32, every: u32) -> Result<(), CallError> {
-        match self.call(&ControlRequest::Record { session, env, every })? {
-            ControlReply::Done => Ok(()),
-            other => Err(unexpected(&other)),
-        }
+        self.link.get()?.record(session, env, every)
     }
 
     /// The snapshots that were recorded since the last call, as bytes, and how many are missing
     /// because this call came too late. Call it at least twice a minute.
     pub fn recorded(&self, session: u64) -> Result<(Vec<u8>, u64), CallError> {
-        match self.call(&ControlRequest::Recorded { session })? {
-            ControlReply::Recorded { bytes, lost } => Ok((bytes, lost)),
-            other => Err(unexpected(&other)),
-        }
+        self.link.get()?.recorded(session)
     }
 
     /// Where the server's live viewer is, a page over HTTP; it is started where there is none.
     pub fn viewer(&self) -> Result<SocketAddr, CallError> {
-        match self.call(&ControlRequest::Viewer)? {
-            ControlReply::Viewer(address) => Ok(address),
-            other => Err(unexpected(&other)),
-        }
+        self.link.get()?.viewer()
     }
 
     /// Ends the server, for all of its clients.
     pub fn shut_down(&self) -> Result<(), CallError> {
-        match self.call(&ControlRequest::Shutdown)? {
-            ControlReply::Done => Ok(()),
-            other => Err(unexpected(&other)),
-        }
+        self.link.get()?.shutdown()
     }
 
     /// Sends arbitrary bytes as a control message, for tests of the server's defences.
@@ -227,10 +197,6 @@ impl Client {
 
     pub(crate) fn link(&self) -> &Arc<Owned<Link>> {
         &self.link
-    }
-
-    fn call(&self, request: &ControlRequest) -> Result<ControlReply, CallError> {
-        self.link.get()?.call(request)
     }
 }
 
@@ -259,10 +225,6 @@ impl Origin {
             }
         }
     }
-}
-
-pub(crate) fn unexpected(reply: &ControlReply) -> CallError {
-    CallError::Malformed(format!("version {PROTOCOL_VERSION} does not expect {reply:?} here"))
 }
 
 #[allow(clippy::needless_pass_by_value)] // for map_err

@@ -4,13 +4,13 @@ use std::collections::VecDeque;
 use std::sync::Arc;
 use std::time::Duration;
 
-use trocar_proto::control::{ControlReply, ControlRequest, SessionInfo, SessionRequest};
+use trocar_proto::control::{ControlCalls, SessionInfo, SessionRequest};
 use trocar_proto::wire::{
     Header, MAX_IN_FLIGHT, PictureLayout, ReplyLayout, RequestLayout, flag, kind,
 };
 use trocar_proto::{Code, Placement, Rejection, TaskSpec, snapshot};
 
-use crate::client::{Client, unexpected};
+use crate::client::Client;
 use crate::error::CallError;
 use crate::reply::{EnvIds, Reply};
 use crate::snapshot::{Dropped, Snapshot};
@@ -68,7 +68,7 @@ impl Session {
         let link = Arc::clone(client.link());
         let port = DataPort::open(link, &info, request_layout.bytes).inspect_err(|_| {
             let (session, node) = (info.session, client.link().node_id());
-            client.link().call(&ControlRequest::CloseSession { session, node }).ok();
+            client.link().close_session(session, node).ok();
         })?;
         let port = Owned::new(port);
         let info = Arc::new(info);
@@ -255,10 +255,7 @@ impl Session {
         let (numbers, node) = (snapshot.numbers_for(&self.info, snapshot.len())?, link.node_id());
         let mut bytes = vec![];
         for snapshot in numbers {
-            match link.call(&ControlRequest::ExportSnapshot { session, node, snapshot })? {
-                ControlReply::Exported(part) => bytes.extend(part),
-                other => return Err(unexpected(&other)),
-            }
+            bytes.extend(link.export_snapshot(session, node, snapshot)?);
         }
         Ok(bytes)
     }
@@ -271,13 +268,8 @@ impl Session {
         let (parts, node) = (snapshot::split(bytes)?, link.node_id());
         let mut imported = Snapshot::new(&self.info, &[], &self.dropped);
         for part in parts {
-            let bytes = part.to_vec();
-            match link.call(&ControlRequest::ImportSnapshot { session, node, bytes })? {
-                ControlReply::Imported(number) => {
-                    imported.push(&Snapshot::new(&self.info, &[number], &self.dropped));
-                }
-                other => return Err(unexpected(&other)),
-            }
+            let number = link.import_snapshot(session, node, part.to_vec())?;
+            imported.push(&Snapshot::new(&self.info, &[number], &self.dropped));
         }
         Ok(imported)
     }
@@ -301,13 +293,8 @@ impl Session {
         // They are dropped with this, and the server told so once the request was answered.
         let mut imported = Snapshot::new(&self.info, &[], &self.dropped);
         for placement in placements {
-            let placement = placement.clone();
-            match link.call(&ControlRequest::ImportPlacement { session, node, placement })? {
-                ControlReply::Imported(number) => {
-                    imported.push(&Snapshot::new(&self.info, &[number], &self.dropped));
-                }
-                other => return Err(unexpected(&other)),
-            }
+            let number = link.import_placement(session, node, placement.clone())?;
+            imported.push(&Snapshot::new(&self.info, &[number], &self.dropped));
         }
         let numbers = imported.numbers_for(&self.info, rows)?;
         let region = self.request_layout.numbers;
@@ -395,8 +382,7 @@ impl Session {
         let link = self.port.get()?.link();
         let (session, node) = (self.info.session, link.node_id());
         for numbers in self.dropped.take().chunks(AT_A_TIME) {
-            let snapshots = numbers.to_vec();
-            link.call(&ControlRequest::DropSnapshots { session, node, snapshots })?;
+            link.drop_snapshots(session, node, numbers.to_vec())?;
         }
         Ok(())
     }
@@ -568,7 +554,7 @@ impl Drop for Session {
         if let Ok(port) = self.port.get() {
             let (session, node) = (self.info.session, port.link().node_id());
             // Where the server is gone, so is the session.
-            port.link().call(&ControlRequest::CloseSession { session, node }).ok();
+            port.link().close_session(session, node).ok();
         }
     }
 }

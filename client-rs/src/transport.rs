@@ -13,7 +13,9 @@ use iceoryx2::prelude::{BackpressureStrategy, EventId, PortFactory, ServiceName}
 use iceoryx2::response::Response;
 use iceoryx2::service::port_factory::client::ClientCreateError;
 use trocar_proto::cause;
-use trocar_proto::control::{self, ControlReply, ControlRequest, MAX_MESSAGE, SessionInfo};
+use trocar_proto::control::{
+    self, ControlCalls, ControlReply, ControlRequest, MAX_MESSAGE, SessionInfo,
+};
 use trocar_proto::endpoint::{
     self, CLIENT_BYTES, Endpoint, Membership, Node, ServerState, Transport,
 };
@@ -140,6 +142,26 @@ pub(crate) struct Link {
     epoch: u64,
 }
 
+impl ControlCalls for Link {
+    type Error = CallError;
+
+    fn call(&self, request: &ControlRequest) -> Result<ControlReply, CallError> {
+        let mut bytes = vec![0; MAX_MESSAGE];
+        let length = control::encode(request, &mut bytes)?;
+        let header = Header { length: length as u32, ..Header::new(request.kind()) };
+        let reply = self.call_raw(header, &bytes[..length], request.purpose())?;
+        match reply {
+            ControlReply::Refused(refusal) => Err(refusal.into()),
+            reply => Ok(reply),
+        }
+    }
+
+    fn unexpected(reply: &ControlReply) -> CallError {
+        let version = trocar_proto::PROTOCOL_VERSION;
+        CallError::Malformed(format!("version {version} does not expect {reply:?} here"))
+    }
+}
+
 impl Link {
     /// Whether this process can have another connection at all; else, why not.
     pub(crate) fn check_room() -> Result<(), String> {
@@ -241,18 +263,6 @@ impl Link {
     fn timeout(&self, what: String, waited: Duration) -> CallError {
         let name = self.membership.endpoint().name().to_string();
         CallError::Timeout { name, what, seconds: waited.as_secs_f64() }
-    }
-
-    /// Sends one control request and waits for its reply; a refusal is an error.
-    pub(crate) fn call(&self, request: &ControlRequest) -> Result<ControlReply, CallError> {
-        let mut bytes = vec![0; MAX_MESSAGE];
-        let length = control::encode(request, &mut bytes)?;
-        let header = Header { length: length as u32, ..Header::new(request.kind()) };
-        let reply = self.call_raw(header, &bytes[..length], request.purpose())?;
-        match reply {
-            ControlReply::Refused(refusal) => Err(refusal.into()),
-            reply => Ok(reply),
-        }
     }
 
     /// Sends any header and bytes as a control request; the tests send broken ones.

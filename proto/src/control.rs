@@ -12,171 +12,151 @@ use crate::spec::{ImageSpec, Options, TaskSpec};
 /// Largest control message, bytes.
 pub const MAX_MESSAGE: usize = 64 * 1024;
 
-/// What a client asks of the server.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub enum ControlRequest {
-    /// Introduces the client; the answer is [`ControlReply::Hello`].
-    Hello(ClientInfo),
+/// Version of everything in this crate; both sides must have the same.
+pub const PROTOCOL_VERSION: u32 = 12;
+
+macro_rules! control_messages {
+    ($(
+        $(#[$doc:meta])*
+        $kind:literal $variant:ident: $method:ident $({ $($field:ident: $type:ty),* })? -> $reply:ty, $purpose:literal;
+    )*) => {
+        /// What a client asks of the server.
+        #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+        #[expect(missing_docs, reason = "the variant says what its fields are")]
+        pub enum ControlRequest {
+            $($(#[$doc])* $variant $({ $($field: $type),* })?,)*
+        }
+
+        impl ControlRequest {
+            /// What its client waits for, in words.
+            pub fn purpose(&self) -> &'static str {
+                match self {
+                    $(Self::$variant { .. } => $purpose,)*
+                }
+            }
+
+            /// The kind of [`Self::OpenSession`].
+            pub const OPEN_SESSION: u32 = 4;
+
+            /// The number in [`crate::wire::Header::kind`]. Reserved for later: 32 to 47 dVRK arm sessions.
+            pub fn kind(&self) -> u32 {
+                match self {
+                    $(Self::$variant { .. } => $kind,)*
+                }
+            }
+
+            /// Has `handler` answer it; `None` where it will be answered later.
+            pub fn dispatch(self, handler: &mut impl ControlHandler) -> Option<ControlReply> {
+                let answer = match self {
+                    $(Self::$variant $({ $($field),* })? => {
+                        handler.$method($($($field),*)?).map(ControlReply::$variant)
+                    })*
+                };
+                match answer {
+                    Ok(reply) => Some(reply),
+                    Err(Unanswered::Refused(refusal)) => Some(ControlReply::Refused(refusal)),
+                    Err(Unanswered::Later) => None,
+                }
+            }
+        }
+
+        /// What the server answers: what belongs to the request of that name, or a refusal.
+        #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+        pub enum ControlReply {
+            /// To anything that was refused.
+            Refused(Rejection),
+            $(#[doc = concat!("To [`ControlRequest::", stringify!($variant), "`].")] $variant($reply),)*
+        }
+
+        /// What answers control messages: the server.
+        #[expect(missing_docs, reason = "the request of that name says what it is")]
+        pub trait ControlHandler {
+            $(fn $method(&mut self, $($($field: $type),*)?) -> Result<$reply, Unanswered>;)*
+        }
+
+        /// What sends control messages: a connection of a client.
+        pub trait ControlCalls {
+            /// Why there is no answer.
+            type Error;
+
+            /// Sends a request and waits for its reply; a refusal is an error.
+            fn call(&self, request: &ControlRequest) -> Result<ControlReply, Self::Error>;
+
+            /// The error of a reply that belongs to another request.
+            fn unexpected(reply: &ControlReply) -> Self::Error;
+
+            $(
+                $(#[$doc])*
+                fn $method(&self, $($($field: $type),*)?) -> Result<$reply, Self::Error> {
+                    match self.call(&ControlRequest::$variant $({ $($field),* })?)? {
+                        ControlReply::$variant(reply) => Ok(reply),
+                        other => Err(Self::unexpected(&other)),
+                    }
+                }
+            )*
+        }
+    };
+}
+
+// Each is declared once: the number in the header, the request with its fields, the reply, what a client waits for.
+// From it follow the messages, the method of [`ControlHandler`] that the server implements and the method of
+// [`ControlCalls`] that clients have. New ones come last: their place is their number on the wire.
+control_messages! {
+    /// Introduces the client.
+    1 Hello: hello { client: ClientInfo } -> ServerInfo, "the connection";
     /// Asks for the ids of all tasks.
-    ListTasks,
+    2 ListTasks: list_tasks -> Vec<String>, "the list of tasks";
     /// Asks for one task under some options.
-    DescribeTask {
-        /// Task id.
-        task: String,
-        /// Its options.
-        options: Options,
-    },
-    /// Opens a session.
-    OpenSession {
-        /// What is wanted.
-        request: SessionRequest,
-        /// The client that asks, as it introduced itself.
-        client: ClientInfo,
-    },
-    /// Closes a session of this client.
-    CloseSession {
-        /// Which.
-        session: u64,
-        /// The client's transport node, as it introduced itself.
-        node: u128,
-    },
+    3 DescribeTask: describe_task { task: String, options: Options } -> Box<TaskSpec>, "the description of a task";
+    /// Opens a session for a client, as it introduced itself.
+    4 OpenSession: open_session { request: SessionRequest, client: ClientInfo } -> Box<SessionInfo>,
+        "the opening of a session";
+    /// Closes a session of the client with this transport node.
+    5 CloseSession: close_session { session: u64, node: u128 } -> (), "the closing of a session";
     /// Asks for the server's clients and sessions, and how fast it runs.
-    Status,
+    6 Status: status -> ServerStatus, "the status";
     /// Ends the server.
-    Shutdown,
-    /// Drops snapshots and placements; those that are not there are no error.
-    DropSnapshots {
-        /// The session that took them.
-        session: u64,
-        /// The client's transport node, as it introduced itself.
-        node: u128,
-        /// Their numbers.
-        snapshots: Vec<u64>,
-    },
-    /// Asks for a snapshot as bytes.
-    ExportSnapshot {
-        /// The session that took it.
-        session: u64,
-        /// The client's transport node, as it introduced itself.
-        node: u128,
-        /// Its number.
-        snapshot: u64,
-    },
-    /// Brings the bytes of a snapshot into a session.
-    ImportSnapshot {
-        /// The session that shall have it.
-        session: u64,
-        /// The client's transport node, as it introduced itself.
-        node: u128,
-        /// One part, as [`crate::snapshot::split`] gives it.
-        bytes: Vec<u8>,
-    },
-    /// Begins to record an environment of any session, from its present episode's beginning on. One is
-    /// recorded at a time: a new recording of a session ends the one before.
-    Record {
-        /// Which session.
-        session: u64,
-        /// Which of its environments.
-        env: u32,
-        /// Steps from one snapshot that is kept to the next, besides those at ends of episodes.
-        every: u32,
-    },
-    /// Asks for what was recorded of a session since the last time; to be repeated at least twice a minute,
-    /// or the recording ends.
-    Recorded {
-        /// Which session.
-        session: u64,
-    },
-    /// Brings a placement into a session, for [`crate::wire::kind::ARRANGE`].
-    ImportPlacement {
-        /// The session that shall have it.
-        session: u64,
-        /// The client's transport node, as it introduced itself.
-        node: u128,
-        /// How episodes shall begin.
-        placement: Placement,
-    },
-    /// Asks where the live viewer is; where there is none, one is started at a free port of 127.0.0.1.
-    Viewer,
+    7 Shutdown: shutdown -> (), "the end of the server";
+    /// Drops snapshots and placements of a session, by their numbers; those that are not there are no error. `node` is
+    /// the client's, as it introduced itself.
+    18 DropSnapshots: drop_snapshots { session: u64, node: u128, snapshots: Vec<u64> } -> (),
+        "the dropping of snapshots";
+    /// Asks for a snapshot of a session as bytes: one part. `node` is the client's, as it introduced itself.
+    19 ExportSnapshot: export_snapshot { session: u64, node: u128, snapshot: u64 } -> Vec<u8>, "a snapshot's bytes";
+    /// Brings the bytes of a snapshot into a session: one part, as [`crate::snapshot::split`] gives it. The reply is the
+    /// number under which it is kept until [`ControlRequest::DropSnapshots`]. `node` is the client's, as it introduced
+    /// itself.
+    20 ImportSnapshot: import_snapshot { session: u64, node: u128, bytes: Vec<u8> } -> u64,
+        "a snapshot brought into a session";
+    /// Begins to record an environment of any session, from its present episode's beginning on: each `every` steps a
+    /// snapshot, and one at ends of episodes. One is recorded at a time: a new recording of a session ends the one before.
+    21 Record: record { session: u64, env: u32, every: u32 } -> (), "the beginning of a recording";
+    /// Asks for what was recorded of a session since the last time; to be repeated at least twice a minute, or the
+    /// recording ends. The reply has parts one after another, as [`crate::snapshot::split`] takes them, none where nothing
+    /// is new; and the number of states that are missing since the client did not fetch the earlier ones in time.
+    22 Recorded: recorded { session: u64 } -> (Vec<u8>, u64), "what was recorded";
+    /// Brings a placement into a session, for [`crate::wire::kind::ARRANGE`]. The reply is the number under which it is
+    /// kept until [`ControlRequest::DropSnapshots`]. `node` is the client's, as it introduced itself.
+    24 ImportPlacement: import_placement { session: u64, node: u128, placement: Placement } -> u64,
+        "a placement brought into a session";
+    /// Asks where the live viewer is, whose page is served over HTTP; where there is none, one is started at a free port
+    /// of 127.0.0.1.
+    23 Viewer: viewer -> SocketAddr, "the viewer's address";
 }
 
-impl ControlRequest {
-    /// What its client waits for, in words.
-    pub fn purpose(&self) -> &'static str {
-        match self {
-            Self::Hello(_) => "the connection",
-            Self::ListTasks => "the list of tasks",
-            Self::DescribeTask { .. } => "the description of a task",
-            Self::OpenSession { .. } => "the opening of a session",
-            Self::CloseSession { .. } => "the closing of a session",
-            Self::Status => "the status",
-            Self::Shutdown => "the end of the server",
-            Self::DropSnapshots { .. } => "the dropping of snapshots",
-            Self::ExportSnapshot { .. } => "a snapshot's bytes",
-            Self::ImportSnapshot { .. } => "a snapshot brought into a session",
-            Self::Record { .. } => "the beginning of a recording",
-            Self::Recorded { .. } => "what was recorded",
-            Self::Viewer => "the viewer's address",
-            Self::ImportPlacement { .. } => "a placement brought into a session",
-        }
-    }
-
-    /// The kind of [`Self::OpenSession`].
-    pub const OPEN_SESSION: u32 = 4;
-
-    /// The number in [`crate::wire::Header::kind`]. Reserved for later: 32 to 47 dVRK arm sessions.
-    pub fn kind(&self) -> u32 {
-        match self {
-            Self::Hello(_) => 1,
-            Self::ListTasks => 2,
-            Self::DescribeTask { .. } => 3,
-            Self::OpenSession { .. } => Self::OPEN_SESSION,
-            Self::CloseSession { .. } => 5,
-            Self::Status => 6,
-            Self::Shutdown => 7,
-            Self::DropSnapshots { .. } => 18,
-            Self::ExportSnapshot { .. } => 19,
-            Self::ImportSnapshot { .. } => 20,
-            Self::Record { .. } => 21,
-            Self::Recorded { .. } => 22,
-            Self::Viewer => 23,
-            Self::ImportPlacement { .. } => 24,
-        }
-    }
-}
-
-/// What the server answers.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub enum ControlReply {
-    /// To [`ControlRequest::Hello`].
-    Hello(ServerInfo),
-    /// To [`ControlRequest::ListTasks`].
-    Tasks(Vec<String>),
-    /// To [`ControlRequest::DescribeTask`].
-    Task(Box<TaskSpec>),
-    /// To [`ControlRequest::OpenSession`].
-    Opened(Box<SessionInfo>),
-    /// To [`ControlRequest::CloseSession`], [`ControlRequest::DropSnapshots`], [`ControlRequest::Record`]
-    /// and [`ControlRequest::Shutdown`].
-    Done,
-    /// To [`ControlRequest::Status`].
-    Status(ServerStatus),
-    /// To anything that was refused.
+/// Why a message is not answered at once.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Unanswered {
+    /// It is refused.
     Refused(Rejection),
-    /// To [`ControlRequest::ExportSnapshot`]: one part.
-    Exported(Vec<u8>),
-    /// To [`ControlRequest::ImportSnapshot`] and [`ControlRequest::ImportPlacement`]: the number under which it
-    /// is kept until [`ControlRequest::DropSnapshots`].
-    Imported(u64),
-    /// To [`ControlRequest::Recorded`].
-    Recorded {
-        /// Parts one after another, as [`crate::snapshot::split`] takes them; none where nothing is new.
-        bytes: Vec<u8>,
-        /// States that are missing since the client did not fetch the earlier ones in time.
-        lost: u64,
-    },
-    /// To [`ControlRequest::Viewer`]: where its page is served over HTTP.
-    Viewer(SocketAddr),
+    /// It will be answered when what it asks for is done.
+    Later,
+}
+
+impl From<Rejection> for Unanswered {
+    fn from(refusal: Rejection) -> Self {
+        Self::Refused(refusal)
+    }
 }
 
 /// A client, as it introduces itself.
@@ -380,6 +360,11 @@ mod tests {
                 .options(Options::new().with_text("reward", "dense")),
             client: ClientInfo { node: u128::MAX, pid: 1, language: "rust".into() },
         }
+    }
+
+    #[test]
+    fn the_request_that_opens_a_session_has_its_kind() {
+        assert_eq!(request().kind(), ControlRequest::OPEN_SESSION);
     }
 
     #[test]

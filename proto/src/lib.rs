@@ -51,10 +51,8 @@ pub mod spec;
 pub mod stage;
 pub mod wire;
 
+pub use control::PROTOCOL_VERSION;
 pub use error::{Code, Rejection};
 pub use placement::Placement;
 pub use spec::{OptionValue, Options, TaskSpec};
 pub use stage::Stage;
-
-/// Version of everything in this crate; both sides must have the same.
-pub const PROTOCOL_VERSION: u32 = 11;

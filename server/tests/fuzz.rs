@@ -8,10 +8,10 @@ use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
 use std::sync::Arc;
 
 use mutation::Mutator;
-use trocar_proto::Options;
-use trocar_proto::control::ControlReply;
+use trocar_proto::control::ControlRequest;
 use trocar_proto::snapshot::{Recipe, fingerprint};
-use trocar_server::service::{Admission, Answer, Footprint, ServerConfig, Usage};
+use trocar_proto::{Options, Rejection};
+use trocar_server::service::{Admission, Admitted, Footprint, ServerConfig, Usage};
 use trocar_server::tasks::Registry;
 
 /// Messages after which whatever is allocated once has been.
@@ -28,7 +28,8 @@ fn hostile_control_messages_neither_panic_nor_take_memory() {
     let ids: Vec<&str> = ids.iter().map(String::as_str).collect();
     let mut mutator = Mutator::new(20_261_121, &ids);
     let config = ServerConfig::new("fuzz".parse().unwrap());
-    let admission = Admission::new(Arc::new(registry), &config, 1);
+    let registry = Arc::new(registry);
+    let admission = Admission::new(Arc::clone(&registry), &config, 1);
 
     let (mut refused, mut described, mut opened, mut warm) = (0, 0, 0, 0);
     for index in 0..count {
@@ -36,16 +37,22 @@ fn hostile_control_messages_neither_panic_nor_take_memory() {
         let judged = catch_unwind(AssertUnwindSafe(|| {
             let memory = Footprint { shared: index as u64 % (1 << 31), private: 0 };
             let usage = Usage { memory, sessions: index % 600, ..Usage::default() };
-            admission.check(&message.header, &message.bytes, &usage)
+            let checked = admission.check(&message.header, &message.bytes, &usage)?;
+            if let ControlRequest::DescribeTask { task, options } = &checked.request {
+                registry.spec(task, options)?;
+            }
+            Ok::<_, Rejection>(checked)
         }));
         match judged {
-            Ok(Answer::Reply(ControlReply::Refused(refusal))) => {
+            Ok(Err(refusal)) => {
                 assert!(!refusal.field.is_empty() && !refusal.allowed.is_empty(), "{refusal:?}");
                 refused += 1;
             }
-            Ok(Answer::Reply(ControlReply::Task(_))) => described += 1,
-            Ok(Answer::Open { .. }) => opened += 1,
-            Ok(_) => {}
+            Ok(Ok(Admitted { request, .. })) => match request {
+                ControlRequest::DescribeTask { .. } => described += 1,
+                ControlRequest::OpenSession { .. } => opened += 1,
+                _ => {}
+            },
             Err(panic) => {
                 eprintln!("message {index} made the server panic: {message:?}");
                 resume_unwind(panic);

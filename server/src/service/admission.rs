@@ -4,95 +4,23 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use trocar_proto::control::{
-    self, ClientInfo, ControlReply, ControlRequest, ServerInfo, SessionRequest,
-};
+use trocar_proto::control::{self, ControlRequest, ServerInfo, SessionRequest};
 use trocar_proto::endpoint::{Endpoint, MAX_CLIENTS};
 use trocar_proto::open_files::{OpenFiles, SESSION_FILES};
 use trocar_proto::wire::{Header, MAGIC, MAX_IN_FLIGHT, PictureLayout, ReplyLayout, RequestLayout};
-use trocar_proto::{Code, PROTOCOL_VERSION, Placement, Rejection, TaskSpec};
+use trocar_proto::{Code, PROTOCOL_VERSION, Rejection, TaskSpec};
 
 use super::ports::REPLIES;
 use super::{ServeError, ServerConfig};
 use crate::tasks::Registry;
 
-/// What is to be done about a control message.
+/// A control message that may be answered.
 #[derive(Debug, Clone, PartialEq)]
-pub enum Answer {
-    /// Send this.
-    Reply(ControlReply),
-    /// Open this session, which was checked and is counted with its footprint.
-    Open {
-        /// What is wanted.
-        request: SessionRequest,
-        /// The client that asked.
-        client: ClientInfo,
-        /// Memory it may take.
-        footprint: Footprint,
-    },
-    /// Close this session if it belongs to this client's node.
-    Close {
-        /// Which session.
-        session: u64,
-        /// The client that asked.
-        node: u128,
-    },
-    /// Drop snapshots of this session, if it belongs to this client's node.
-    Forget {
-        /// Which session.
-        session: u64,
-        /// The client that asked.
-        node: u128,
-        /// Which snapshots.
-        snapshots: Vec<u64>,
-    },
-    /// Give a snapshot of this session as bytes, if it belongs to this client's node.
-    Export {
-        /// Which session.
-        session: u64,
-        /// The client that asked.
-        node: u128,
-        /// Which snapshot.
-        snapshot: u64,
-    },
-    /// Bring a snapshot into this session, if it belongs to this client's node.
-    Import {
-        /// Which session.
-        session: u64,
-        /// The client that asked.
-        node: u128,
-        /// What is said to be a snapshot.
-        bytes: Vec<u8>,
-    },
-    /// Bring a placement, which was checked, into this session, if it belongs to this client's node.
-    Place {
-        /// Which session.
-        session: u64,
-        /// The client that asked.
-        node: u128,
-        /// How episodes shall begin.
-        placement: Placement,
-    },
-    /// Begin to record an environment of a session, of any client.
-    Record {
-        /// Which session.
-        session: u64,
-        /// Which of its environments.
-        env: u32,
-        /// Steps from one state that is kept to the next.
-        every: u32,
-    },
-    /// Give what was recorded of a session.
-    Recorded {
-        /// Which session.
-        session: u64,
-    },
-    /// Say which clients are connected.
-    Status,
-    /// Say where the live viewer is.
-    Viewer,
-    /// End the server.
-    Shutdown,
+pub struct Admitted {
+    /// What is asked.
+    pub request: ControlRequest,
+    /// Memory that the session may take, where one is to be opened.
+    pub footprint: Footprint,
 }
 
 /// Memory that sessions are counted with, bytes.
@@ -237,20 +165,13 @@ impl Admission {
         &self.info
     }
 
-    /// What to do about a message, where open sessions take `usage`.
-    pub fn check(&self, header: &Header, payload: &[u8], usage: &Usage) -> Answer {
-        match self.try_check(header, payload, usage) {
-            Ok(answer) => answer,
-            Err(refusal) => Answer::Reply(ControlReply::Refused(refusal)),
-        }
-    }
-
-    fn try_check(
+    /// Whether a message may be answered, where open sessions take `usage`.
+    pub fn check(
         &self,
         header: &Header,
         payload: &[u8],
         usage: &Usage,
-    ) -> Result<Answer, Rejection> {
+    ) -> Result<Admitted, Rejection> {
         check_header(header)?;
         let Some(body) = payload.get(..header.length as usize) else {
             return Err(Rejection::new(
@@ -269,42 +190,15 @@ impl Admission {
                 format!("the message is of kind {}", request.kind()),
             ));
         }
-        Ok(match request {
-            ControlRequest::Hello(_) => Answer::Reply(ControlReply::Hello(self.info.clone())),
-            ControlRequest::ListTasks => {
-                let ids = self.registry.ids().map(str::to_string).collect();
-                Answer::Reply(ControlReply::Tasks(ids))
-            }
-            ControlRequest::DescribeTask { task, options } => {
-                let spec = self.registry.spec(&task, &options)?;
-                Answer::Reply(ControlReply::Task(spec.into()))
-            }
+        let mut footprint = Footprint::default();
+        match &request {
             ControlRequest::OpenSession { request, client } => {
-                let footprint = self.check_session(&request, client.pid, usage)?;
-                Answer::Open { request, client, footprint }
+                footprint = self.check_session(request, client.pid, usage)?;
             }
-            ControlRequest::CloseSession { session, node } => Answer::Close { session, node },
-            ControlRequest::DropSnapshots { session, node, snapshots } => {
-                Answer::Forget { session, node, snapshots }
-            }
-            ControlRequest::ExportSnapshot { session, node, snapshot } => {
-                Answer::Export { session, node, snapshot }
-            }
-            ControlRequest::ImportSnapshot { session, node, bytes } => {
-                Answer::Import { session, node, bytes }
-            }
-            ControlRequest::ImportPlacement { session, node, placement } => {
-                placement.check()?;
-                Answer::Place { session, node, placement }
-            }
-            ControlRequest::Record { session, env, every } => {
-                Answer::Record { session, env, every }
-            }
-            ControlRequest::Recorded { session } => Answer::Recorded { session },
-            ControlRequest::Status => Answer::Status,
-            ControlRequest::Viewer => Answer::Viewer,
-            ControlRequest::Shutdown => Answer::Shutdown,
-        })
+            ControlRequest::ImportPlacement { placement, .. } => placement.check()?,
+            _ => {}
+        }
+        Ok(Admitted { request, footprint })
     }
 
     /// Whether a session may be opened, and what it is counted with.

@@ -10,16 +10,17 @@ use std::time::{Duration, Instant};
 
 use iceoryx2::port::listener::ListenerWaitError;
 use trocar_proto::control::{
-    self, ClientInfo, ControlReply, ControlRequest, ServerStatus, SessionRequest,
+    self, ClientInfo, ControlHandler, ControlReply, ControlRequest, ServerInfo, ServerStatus,
+    SessionInfo, SessionRequest, Unanswered,
 };
 use trocar_proto::endpoint::{Endpoint, LEAST_WAIT, MAX_CLIENTS, Node, ServerLock};
 use trocar_proto::missing_page::guarded;
 use trocar_proto::notify::doorbell::Doorbell;
 use trocar_proto::open_files::OpenFiles;
 use trocar_proto::wire::Header;
-use trocar_proto::{Code, Rejection};
+use trocar_proto::{Code, Options, Placement, Rejection, TaskSpec};
 
-use super::admission::{Admission, Answer, Footprint, Holding, Quota, Usage};
+use super::admission::{Admission, Admitted, Footprint, Holding, Quota, Usage};
 use super::exporter::Exporter;
 use super::handle::SessionHandle;
 use super::heap;
@@ -91,6 +92,7 @@ pub(super) fn run(
         clearance: None,
         view,
         started: Instant::now(),
+        asked: None,
         stop: stop.clone(),
     };
     let mut lifetime = Lifetime::new(config);
@@ -159,6 +161,8 @@ struct SessionRegistry {
     /// The live viewer, from when a client asked for it.
     view: Option<View>,
     started: Instant,
+    /// The message that is being answered, and the memory of the session that it opens.
+    asked: Option<(Request, Footprint)>,
     stop: StopSignal,
 }
 
@@ -176,65 +180,21 @@ impl SessionRegistry {
         // The client could still write to what it sent: check a copy.
         let header = *request.user_header();
         let payload = request.payload().to_vec();
-        let result = match self.check(&header, &payload) {
-            Answer::Reply(reply) => reply,
-            Answer::Open { .. } if self.stop.is_set() => ControlReply::Refused(Rejection::new(
-                Code::ShuttingDown,
-                "server",
-                &self.admission.info().name,
-                "it is ending; open the session in its successor",
-            )),
-            Answer::Open { request: wanted, client, footprint } => {
-                if let Some(slot) = self.context.scheduler.reserve() {
-                    self.open(slot, wanted, client, footprint, request);
-                    // It is answered once everything is in place.
-                    return;
-                }
-                let why = "every slot is taken; close a session";
-                let open = self.sessions.len();
-                ControlReply::Refused(Rejection::new(Code::TooManySessions, "session", open, why))
+        let reply = match self.check(&header, &payload) {
+            Ok(Admitted { request: asked, footprint }) => {
+                self.asked = Some((request, footprint));
+                let reply = asked.dispatch(self);
+                let (Some(reply), Some((request, _))) = (reply, self.asked.take()) else { return };
+                ports::reply(&request, &reply);
+                reply
             }
-            Answer::Close { session, node } => self.close(session, node),
-            Answer::Forget { session, node, snapshots } => {
-                let done = self.session_of(session, node).and_then(|one| one.forget(&snapshots));
-                done.map_or_else(ControlReply::Refused, |()| ControlReply::Done)
-            }
-            Answer::Export { session, node, snapshot } => {
-                let bytes = self.session_of(session, node).and_then(|one| one.export(snapshot));
-                bytes.map_or_else(ControlReply::Refused, ControlReply::Exported)
-            }
-            Answer::Import { session, node, bytes } => {
-                let number = self.session_of(session, node).and_then(|one| one.import(&bytes));
-                number.map_or_else(ControlReply::Refused, ControlReply::Imported)
-            }
-            Answer::Place { session, node, placement } => {
-                let number = self.session_of(session, node).and_then(|one| one.place(placement));
-                number.map_or_else(ControlReply::Refused, ControlReply::Imported)
-            }
-            Answer::Record { session, env, every } => {
-                let done = self.any_session(session).and_then(|one| one.record(env, every));
-                done.map_or_else(ControlReply::Refused, |()| ControlReply::Done)
-            }
-            Answer::Recorded { session } => {
-                let fetched = self.any_session(session).and_then(SessionHandle::recorded);
-                fetched.map_or_else(ControlReply::Refused, |(bytes, lost)| ControlReply::Recorded {
-                    bytes,
-                    lost,
-                })
-            }
-            Answer::Status => ControlReply::Status(self.status()),
-            Answer::Viewer => {
-                self.viewer().map_or_else(ControlReply::Refused, ControlReply::Viewer)
-            }
-            Answer::Shutdown => {
-                // A second time would be an order to hurry.
-                if !self.stop.is_set() {
-                    self.stop.set();
-                }
-                ControlReply::Done
+            Err(refusal) => {
+                let reply = ControlReply::Refused(refusal);
+                ports::reply(&request, &reply);
+                reply
             }
         };
-        if let ControlReply::Refused(refusal) = &result {
+        if let ControlReply::Refused(refusal) = &reply {
             match control::decode(payload.get(..header.length as usize).unwrap_or_default()) {
                 Ok(ControlRequest::OpenSession { client, .. }) => {
                     session::note_refusal(&self.context.meter, client.pid, refusal);
@@ -242,7 +202,6 @@ impl SessionRegistry {
                 _ => self.context.meter.refused(refusal.code),
             }
         }
-        ports::reply(&request, &result);
     }
 
     /// Begins to open a session, which then replies.
@@ -264,31 +223,18 @@ impl SessionRegistry {
         }
     }
 
-    fn check(&mut self, header: &Header, payload: &[u8]) -> Answer {
-        let answer = self.admission.check(header, payload, &self.usage(header.kind));
-        match &answer {
+    fn check(&mut self, header: &Header, payload: &[u8]) -> Result<Admitted, Rejection> {
+        let checked = self.admission.check(header, payload, &self.usage(header.kind));
+        match &checked {
             // Sessions that are ending hold on to what they had for up to a tenth of a second.
-            Answer::Reply(ControlReply::Refused(refusal))
+            Err(refusal)
                 if matches!(refusal.code, Code::MemoryBudget | Code::TooManySessions)
                     && !self.ending.is_empty() =>
             {
                 self.ending.drain(..).for_each(SessionHandle::join);
                 self.admission.check(header, payload, &self.usage(header.kind))
             }
-            _ => answer,
-        }
-    }
-
-    fn close(&mut self, session: u64, node: u128) -> ControlReply {
-        match self.sessions.entry(session) {
-            Entry::Occupied(entry) if entry.get().client().node == node => {
-                let handle = entry.remove();
-                handle.stop(&self.context.scheduler, "closed");
-                self.ending.push(handle);
-                self.take_stock();
-                ControlReply::Done
-            }
-            _ => ControlReply::Refused(no_session(session)),
+            _ => checked,
         }
     }
 
@@ -432,9 +378,123 @@ impl SessionRegistry {
         meter.envs.set(self.sessions.values().map(|session| i64::from(session.envs())).sum());
         meter.memory.set(self.used().total() as i64);
     }
+}
 
-    /// Where the viewer is, after it was started if need be.
-    fn viewer(&mut self) -> Result<SocketAddr, Rejection> {
+impl ControlHandler for SessionRegistry {
+    fn hello(&mut self, _: ClientInfo) -> Result<ServerInfo, Unanswered> {
+        Ok(self.admission.info().clone())
+    }
+
+    fn list_tasks(&mut self) -> Result<Vec<String>, Unanswered> {
+        Ok(self.context.registry.ids().map(str::to_string).collect())
+    }
+
+    fn describe_task(
+        &mut self,
+        task: String,
+        options: Options,
+    ) -> Result<Box<TaskSpec>, Unanswered> {
+        Ok(self.context.registry.spec(&task, &options)?.into())
+    }
+
+    fn open_session(
+        &mut self,
+        wanted: SessionRequest,
+        client: ClientInfo,
+    ) -> Result<Box<SessionInfo>, Unanswered> {
+        if self.stop.is_set() {
+            let (name, why) =
+                (&self.admission.info().name, "it is ending; open the session in its successor");
+            return Err(Rejection::new(Code::ShuttingDown, "server", name, why).into());
+        }
+        let Some(slot) = self.context.scheduler.reserve() else {
+            let (open, why) = (self.sessions.len(), "every slot is taken; close a session");
+            return Err(Rejection::new(Code::TooManySessions, "session", open, why).into());
+        };
+        // It is answered once everything is in place.
+        let (request, footprint) = self.asked.take().expect("a message is being answered");
+        self.open(slot, wanted, client, footprint, request);
+        Err(Unanswered::Later)
+    }
+
+    fn close_session(&mut self, session: u64, node: u128) -> Result<(), Unanswered> {
+        match self.sessions.entry(session) {
+            Entry::Occupied(entry) if entry.get().client().node == node => {
+                let handle = entry.remove();
+                handle.stop(&self.context.scheduler, "closed");
+                self.ending.push(handle);
+                self.take_stock();
+                Ok(())
+            }
+            _ => Err(no_session(session).into()),
+        }
+    }
+
+    fn status(&mut self) -> Result<ServerStatus, Unanswered> {
+        let info = self.admission.info();
+        Ok(ServerStatus {
+            name: info.name.clone(),
+            pid: info.pid,
+            epoch: info.epoch,
+            uptime_s: self.started.elapsed().as_secs_f64(),
+            sessions: self.sessions.values().map(SessionHandle::status).collect(),
+            memory_bytes: self.used().total(),
+        })
+    }
+
+    fn shutdown(&mut self) -> Result<(), Unanswered> {
+        // A second time would be an order to hurry.
+        if !self.stop.is_set() {
+            self.stop.set();
+        }
+        Ok(())
+    }
+
+    fn drop_snapshots(
+        &mut self,
+        session: u64,
+        node: u128,
+        snapshots: Vec<u64>,
+    ) -> Result<(), Unanswered> {
+        Ok(self.session_of(session, node)?.forget(&snapshots)?)
+    }
+
+    fn export_snapshot(
+        &mut self,
+        session: u64,
+        node: u128,
+        snapshot: u64,
+    ) -> Result<Vec<u8>, Unanswered> {
+        Ok(self.session_of(session, node)?.export(snapshot)?)
+    }
+
+    fn import_snapshot(
+        &mut self,
+        session: u64,
+        node: u128,
+        bytes: Vec<u8>,
+    ) -> Result<u64, Unanswered> {
+        Ok(self.session_of(session, node)?.import(&bytes)?)
+    }
+
+    fn record(&mut self, session: u64, env: u32, every: u32) -> Result<(), Unanswered> {
+        Ok(self.any_session(session)?.record(env, every)?)
+    }
+
+    fn recorded(&mut self, session: u64) -> Result<(Vec<u8>, u64), Unanswered> {
+        Ok(self.any_session(session)?.recorded()?)
+    }
+
+    fn import_placement(
+        &mut self,
+        session: u64,
+        node: u128,
+        placement: Placement,
+    ) -> Result<u64, Unanswered> {
+        Ok(self.session_of(session, node)?.place(placement)?)
+    }
+
+    fn viewer(&mut self) -> Result<SocketAddr, Unanswered> {
         if let Some(view) = &self.view {
             return Ok(view.address());
         }
@@ -443,18 +503,6 @@ impl SessionRegistry {
         let view = view.map_err(internal("viewer"))?;
         tracing::info!(view = %view.address(), "the viewer was asked for");
         Ok(self.view.insert(view).address())
-    }
-
-    fn status(&self) -> ServerStatus {
-        let info = self.admission.info();
-        ServerStatus {
-            name: info.name.clone(),
-            pid: info.pid,
-            epoch: info.epoch,
-            uptime_s: self.started.elapsed().as_secs_f64(),
-            sessions: self.sessions.values().map(SessionHandle::status).collect(),
-            memory_bytes: self.used().total(),
-        }
     }
 }
 

@@ -60,7 +60,7 @@ use trocar_proto::{Code, Rejection};
 use self::unfinished::Remover;
 use crate::tasks::Registry;
 
-pub use admission::{Admission, Answer, Footprint, Holding, Quota, Usage};
+pub use admission::{Admission, Admitted, Footprint, Holding, Quota, Usage};
 pub use cpus::Cpus;
 
 /// How long a server that is ending may take before its name is said to be in use: its drain limit,

@@ -102,7 +102,7 @@ pub(super) fn open(
         let entity = Entity::new(&quota.threads);
         match Session::open(Arc::clone(&context), quota, inner, &wanted, slot, life) {
             Ok((session, info)) => {
-                ports::reply(&request, &ControlReply::Opened(info.into()));
+                ports::reply(&request, &ControlReply::OpenSession(info.into()));
                 drop(request);
                 context.scheduler.occupy(session.slot.id, entity, Box::new(session));
             }

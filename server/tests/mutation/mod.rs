@@ -142,7 +142,7 @@ fn requests(tasks: &[&str]) -> Vec<ControlRequest> {
         ("setup", OptionValue::Table(rows(&[]))),
     ];
     let mut requests = vec![
-        ControlRequest::Hello(client.clone()),
+        ControlRequest::Hello { client: client.clone() },
         ControlRequest::ListTasks,
         ControlRequest::CloseSession { session: 1, node: client.node },
         ControlRequest::Status,

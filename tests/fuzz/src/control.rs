@@ -12,7 +12,7 @@ use trocar_proto::spec::OptionValue;
 use trocar_proto::wire::Header;
 use trocar_proto::{Code, Options, Placement, Rejection};
 use trocar_server::Registry;
-use trocar_server::service::{Admission, Answer, Footprint, ServerConfig, Usage};
+use trocar_server::service::{Admission, Admitted, Footprint, ServerConfig, Usage};
 
 use crate::input::Input;
 
@@ -50,13 +50,20 @@ pub(crate) fn run(data: &[u8]) {
         sessions: 3,
         ..Usage::default()
     };
-    match ADMISSION.check(&header, bytes, &usage) {
-        Answer::Reply(ControlReply::Refused(refusal)) => check(&refusal),
-        Answer::Reply(reply) => {
+    let Admitted { request, footprint } = match ADMISSION.check(&header, bytes, &usage) {
+        Ok(admitted) => admitted,
+        Err(refusal) => return check(&refusal),
+    };
+    match request {
+        ControlRequest::DescribeTask { task, options } => {
+            let reply = match REGISTRY.spec(&task, &options) {
+                Ok(spec) => ControlReply::DescribeTask(spec.into()),
+                Err(refusal) => return check(&refusal),
+            };
             let told = encode(&reply).expect("a client can be told");
             assert_eq!(control::decode::<ControlReply>(&told), Ok(reply));
         }
-        Answer::Open { request, footprint, .. } => {
+        ControlRequest::OpenSession { request, .. } => {
             assert!(footprint.total() <= BUDGET / 2 && request.envs <= 64, "{request:?}");
             let env = REGISTRY.make(&request.task, &request.options);
             let env = env.expect("the admission has made one like it");
@@ -149,7 +156,7 @@ fn requests() -> Vec<ControlRequest> {
         tip: None,
     };
     let mut requests = vec![
-        ControlRequest::Hello(client.clone()),
+        ControlRequest::Hello { client: client.clone() },
         ControlRequest::ListTasks,
         ControlRequest::CloseSession { session, node },
         ControlRequest::Status,
@@ -181,14 +188,14 @@ fn replies() -> Vec<ControlReply> {
         SessionInfo { session: 1, epoch: 2, slot: 3, envs: 4, spec: spec.clone(), view: None };
     vec![
         ControlReply::Hello(ADMISSION.info().clone()),
-        ControlReply::Tasks(REGISTRY.ids().map(str::to_string).collect()),
-        ControlReply::Task(spec.into()),
-        ControlReply::Opened(info.into()),
-        ControlReply::Done,
+        ControlReply::ListTasks(REGISTRY.ids().map(str::to_string).collect()),
+        ControlReply::DescribeTask(spec.into()),
+        ControlReply::OpenSession(info.into()),
+        ControlReply::Shutdown(()),
         ControlReply::Refused(Rejection::new(Code::Malformed, "field", 1, "allowed")),
-        ControlReply::Exported(vec![1, 2, 3]),
-        ControlReply::Imported(4),
-        ControlReply::Recorded { bytes: vec![1, 2], lost: 3 },
+        ControlReply::ExportSnapshot(vec![1, 2, 3]),
+        ControlReply::ImportSnapshot(4),
+        ControlReply::Recorded((vec![1, 2], 3)),
         ControlReply::Viewer(([127, 0, 0, 1], 80).into()),
     ]
 }

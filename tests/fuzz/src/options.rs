@@ -44,7 +44,7 @@ fn make(task: &TaskSpec, options: &Options) {
         Ok(spec) => spec,
         Err(refusal) => return check(&refusal),
     };
-    encode(&ControlReply::Task(spec.clone().into())).expect("a client can be told");
+    encode(&ControlReply::DescribeTask(spec.clone().into())).expect("a client can be told");
     let mut env = REGISTRY.make(&task.id, options).expect("its description was made");
     assert_eq!(*env.spec(), spec);
     env.reset(Some(1));
