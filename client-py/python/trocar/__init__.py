@@ -32,7 +32,7 @@ their library does not hand over. A row-major, aligned array of float32 is not c
 """
 
 from trocar import errors
-from trocar._connection import status
+from trocar._connection import connect, status
 from trocar._features import features
 from trocar._trocar import STAGES, Element, OptionSpec, TaskSpec, __version__
 from trocar.env import TrocarEnv
@@ -56,6 +56,7 @@ __all__ = [
     "TrocarVectorEnv",
     "__version__",
     "binary",
+    "connect",
     "errors",
     "features",
     "register",
