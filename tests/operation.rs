@@ -38,6 +38,9 @@ fn assert_names(refusal: &Rejection, code: Code, field: &str, value: &str, parts
 #[test]
 fn a_client_has_no_more_sessions_and_environments_than_its_quota() {
     let server = Server::start_with(&["--client-sessions", "2", "--client-envs", "6"]);
+    let limits = server.connect().limits().unwrap();
+    assert_eq!((limits.sessions, limits.envs, limits.memory_bytes), (Some(2), Some(6), None));
+    assert!(limits.session_envs > 6 && limits.threads.is_none());
     let pid = format!("process {}", std::process::id());
     // Connections of a process have its quota together.
     let one = server.connect().open(&reach(3)).unwrap();

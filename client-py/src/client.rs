@@ -119,10 +119,12 @@ impl Client {
 
     /// The server's clients and sessions, and how fast it runs.
     fn status<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
-        let status = self.call(py, trocar_client::Client::status)?;
-        let json = serde_json::to_string(&status)
-            .map_err(|error| error::new(py, "Internal", error.to_string()))?;
-        py.import("json")?.call_method1("loads", (json,))
+        plain(py, serde_json::to_string(&self.call(py, trocar_client::Client::status)?))
+    }
+
+    /// What one client, a process, may have of the server.
+    fn limits<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
+        plain(py, serde_json::to_string(&self.call(py, trocar_client::Client::limits)?))
     }
 
     /// Where the server's live viewer is, as "address:port"; it is started where there is none.
@@ -191,6 +193,12 @@ impl Client {
         let client = self.client.clone();
         wait::interruptibly(py, move || request(&client))?.map_err(|error| error::call(py, error))
     }
+}
+
+/// What was told, as dictionaries and lists.
+fn plain(py: Python<'_>, told: serde_json::Result<String>) -> PyResult<Bound<'_, PyAny>> {
+    let json = told.map_err(|error| error::new(py, "Internal", error.to_string()))?;
+    py.import("json")?.call_method1("loads", (json,))
 }
 
 /// How environments are drawn.

@@ -65,6 +65,12 @@ def test_every_registered_task_is_known_to_the_server(server: str) -> None:
     assert set(TASKS) == set(Client.connect(server).tasks())
 
 
+def test_a_connection_tells_what_a_client_may_have(server: str) -> None:
+    limits = trocar.connect(server).limits()
+    assert limits.pop("session_envs") == Client.connect(server).max_envs
+    assert limits == dict.fromkeys(("sessions", "envs", "memory_bytes", "threads"))
+
+
 def test_the_spec_of_an_environment_has_its_own_episode_length(task: str, server: str) -> None:
     for rate in (10, 20):
         env = gym.make(f"trocar/{task}", server=server, rate=rate)

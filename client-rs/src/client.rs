@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 
 use trocar_proto::TaskSpec;
 use trocar_proto::control::{
-    ClientInfo, ControlCalls, ControlReply, ServerInfo, ServerStatus, SessionRequest,
+    ClientInfo, ClientLimits, ControlCalls, ControlReply, ServerInfo, ServerStatus, SessionRequest,
 };
 use trocar_proto::endpoint::{Endpoint, Membership, ServerName, ServerState};
 use trocar_proto::open_files::{OpenFiles, SESSION_FILES};
@@ -165,6 +165,11 @@ impl Client {
     /// The server's clients and sessions, and how fast it runs.
     pub fn status(&self) -> Result<ServerStatus, CallError> {
         self.link.get()?.status()
+    }
+
+    /// What one client, a process, may have of the server.
+    pub fn limits(&self) -> Result<ClientLimits, CallError> {
+        self.link.get()?.limits()
     }
 
     /// Begins to record an environment of any session, its own or another client's: a snapshot each

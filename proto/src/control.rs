@@ -13,7 +13,7 @@ use crate::spec::{ImageSpec, Options, TaskSpec};
 pub const MAX_MESSAGE: usize = 64 * 1024;
 
 /// Version of everything in this crate; both sides must have the same.
-pub const PROTOCOL_VERSION: u32 = 12;
+pub const PROTOCOL_VERSION: u32 = 13;
 
 macro_rules! control_messages {
     ($(
@@ -142,6 +142,8 @@ control_messages! {
     /// Asks where the live viewer is, whose page is served over HTTP; where there is none, one is started at a free port
     /// of 127.0.0.1.
     23 Viewer: viewer -> SocketAddr, "the viewer's address";
+    /// Asks what one client may have of the server.
+    25 Limits: limits -> ClientLimits, "the limits of a client";
 }
 
 /// Why a message is not answered at once.
@@ -291,6 +293,21 @@ pub struct ServerStatus {
     pub sessions: Vec<SessionStatus>,
     /// Bytes that sessions are counted with against the memory budget.
     pub memory_bytes: u64,
+}
+
+/// What one client, a process, may have of a server; `None` where only the server itself limits it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+pub struct ClientLimits {
+    /// Most environments of a session.
+    pub session_envs: u32,
+    /// Most sessions at a time.
+    pub sessions: Option<u64>,
+    /// Most environments of all its sessions.
+    pub envs: Option<u64>,
+    /// Most memory of its sessions and their snapshots, bytes.
+    pub memory_bytes: Option<u64>,
+    /// Most threads that step its environments at a time.
+    pub threads: Option<u64>,
 }
 
 /// One session as `trocar status` shows it.

@@ -89,6 +89,12 @@ class Client:
         """Opens a session: one task, N environments, one seed, its options."""
     def status(self) -> dict[str, Any]:
         """The server's clients and sessions, and how fast it runs."""
+    def limits(self) -> dict[str, int | None]:
+        """What one client, a process, may have of the server; ``None`` where it has no limit.
+
+        ``session_envs`` environments in a session; ``sessions``, ``envs``, ``memory_bytes`` and
+        ``threads`` in all.
+        """
     def viewer(self) -> str:
         """Where the live viewer is, as ``address:port``; it is started where there is none."""
     def shut_down(self) -> None:

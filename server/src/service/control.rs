@@ -10,8 +10,8 @@ use std::time::{Duration, Instant};
 
 use iceoryx2::port::listener::ListenerWaitError;
 use trocar_proto::control::{
-    self, ClientInfo, ControlHandler, ControlReply, ControlRequest, ServerInfo, ServerStatus,
-    SessionInfo, SessionRequest, Unanswered,
+    self, ClientInfo, ClientLimits, ControlHandler, ControlReply, ControlRequest, ServerInfo,
+    ServerStatus, SessionInfo, SessionRequest, Unanswered,
 };
 use trocar_proto::endpoint::{Endpoint, LEAST_WAIT, MAX_CLIENTS, Node, ServerLock};
 use trocar_proto::missing_page::guarded;
@@ -492,6 +492,18 @@ impl ControlHandler for SessionRegistry {
         placement: Placement,
     ) -> Result<u64, Unanswered> {
         Ok(self.session_of(session, node)?.place(placement)?)
+    }
+
+    fn limits(&mut self) -> Result<ClientLimits, Unanswered> {
+        let Quota { sessions, envs, memory_bytes, threads } = self.quota;
+        let limit = |number: u64| (number < u64::MAX).then_some(number);
+        Ok(ClientLimits {
+            session_envs: self.admission.info().max_envs,
+            sessions: limit(sessions as u64),
+            envs: limit(envs),
+            memory_bytes: limit(memory_bytes),
+            threads: limit(threads as u64),
+        })
     }
 
     fn viewer(&mut self) -> Result<SocketAddr, Unanswered> {
