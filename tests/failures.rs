@@ -5,16 +5,16 @@ use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
 use trocar_client::{Autoreset, Client, Options, SessionRequest};
-use trocar_proto::goal::Reward;
-use trocar_proto::relative::Relative;
+use trocar_proto::Rejection;
+use trocar_proto::builtin::TaskInfo;
 use trocar_proto::spec::{Element, OptionSpec};
-use trocar_proto::{Rejection, TaskSpec};
 use trocar_server::env::recording::{self, Replay};
 use trocar_server::service::{ServerConfig, StopSignal, serve};
 use trocar_server::sim::frames::{self, Pose};
 use trocar_server::sim::random::Rng;
 use trocar_server::sim::world::{BodyId, Motion, Part, Shape, Solver, World};
 use trocar_server::tasks::expert::ExpertInput;
+use trocar_server::tasks::{Registered, State};
 use trocar_server::{Registry, Task};
 
 /// A ball in the air: 1 makes its observation no number, −1 throws it away.
@@ -24,8 +24,14 @@ struct Clumsy {
     seen: f32,
 }
 
-impl Task for Clumsy {
-    const ID: &'static str = "Clumsy-v0";
+impl Registered for Clumsy {
+    const INFO: TaskInfo = TaskInfo {
+        id: "Clumsy-v0",
+        summary: "Do nothing wrong.",
+        steps: 5,
+        hertz: 10.0,
+        tags: &[],
+    };
 
     fn options() -> Vec<OptionSpec> {
         vec![]
@@ -39,21 +45,15 @@ impl Task for Clumsy {
         let ball = world.insert(Motion::Free { mass: 0.01 }, &place, 0.5, &[part]);
         Ok((Self { ball, seen: 0.0 }, world))
     }
+}
 
-    fn spec(&self) -> TaskSpec {
-        TaskSpec {
-            id: Self::ID.into(),
-            summary: "Do nothing wrong.".into(),
-            max_steps: 5,
-            seconds_per_step: 0.1,
-            action: vec![Element::new("mistake", "", "1", -1.0, 1.0)],
-            observation: vec![Element::new("state", "", "1", -1.0, 1.0)],
-            goal: None,
-            reward: Reward::State,
-            options: vec![],
-            relative: Relative::default(),
-            images: None,
-        }
+impl Task for Clumsy {
+    fn action(&self) -> Vec<Element> {
+        vec![Element::new("mistake", "", "1", -1.0, 1.0)]
+    }
+
+    fn state(&self, _: &World, state: &mut State<'_>) {
+        state.field(|| Element::new("state", "", "1", -1.0, 1.0), self.seen.into());
     }
 
     fn reset(&mut self, _: &mut World, _: &mut Rng) {
@@ -68,10 +68,6 @@ impl Task for Clumsy {
             }
             _ => {}
         }
-    }
-
-    fn observe(&self, _: &World, observation: &mut [f32], _: &mut [f32], _: &mut [f32]) {
-        observation[0] = self.seen;
     }
 
     fn reward(&self, _: &World) -> f32 {

@@ -4,6 +4,7 @@
 //! |---|---|
 //! | [`endpoint`] | where a server is found: names, folders, transport configuration |
 //! | [`notify`] | how both sides tell each other that a message is there, and where they sleep until then |
+//! | [`builtin`] | what is known of Trocar's own tasks without a server |
 //! | [`cause`] | why an operation of the transport failed, in its own words |
 //! | [`missing_page`] | making shared memory while there is none |
 //! | [`open_files`] | how many files a process has open, and what clients and sessions take |
@@ -34,6 +35,7 @@
 //! assert_eq!(Reward::Sparse.of(&rule, &[0.0; 3], &[0.1, 0.0, 0.0]), -1.0);
 //! ```
 
+pub mod builtin;
 pub mod cause;
 pub mod columns;
 pub mod control;

@@ -36,7 +36,7 @@ use crate::tasks::options::{self, Domain, SCALED_LENGTH, SCALED_LENGTHS_PER_METR
 use crate::tasks::proprioception::Proprioception;
 use crate::tasks::start::Starts;
 use crate::tasks::time::Time;
-use crate::tasks::{AnyTask, rate, relative};
+use crate::tasks::{State as Fields, Task, rate, relative};
 
 mod arrange;
 mod bounds;
@@ -94,7 +94,7 @@ pub struct Env {
     imaging: Option<Arc<Imaging>>,
     expert_sees: Sees,
     domain: Domain,
-    task: Box<dyn AnyTask>,
+    task: Box<dyn Task>,
     world: World,
     seed: u64,
     episode: u64,
@@ -202,11 +202,12 @@ impl Env {
         Self::MEMORY_BYTES + world.memory_bytes()
     }
 
-    /// An environment of `task` under all of `options`, which looks like `spec` and prepared `world`; it
-    /// needs a reset.
+    /// An environment of `task` under all of `options`, which looks like `spec`, whose state has the elements `state`,
+    /// and which prepared `world`; it needs a reset.
     pub(crate) fn new(
         spec: TaskSpec,
-        task: Box<dyn AnyTask>,
+        state: Vec<Element>,
+        task: Box<dyn Task>,
         world: World,
         domain: Domain,
         options: Options,
@@ -225,7 +226,7 @@ impl Env {
             expert_sees: Sees::of(&options),
             own: Proprioception::of(&options),
             sight: Sight {
-                elements: task.spec().observation.into(),
+                elements: state.into(),
                 has_state: options::observes_state(&options)
                     || !options::observes_numbers(&options),
                 has_features: relative::is_wanted(&options),
@@ -560,7 +561,8 @@ impl Env {
         let (measured, features) = rest.split_at_mut(self.measured.len());
         let mut hidden = vec![0.0; elements.len() - shown];
         let state = if *has_state { state } else { &mut hidden };
-        self.task.observe(&self.world, state, achieved, desired);
+        self.task.state(&self.world, &mut Fields::read(state));
+        self.task.goals(&self.world, achieved, desired);
         measured.copy_from_slice(&self.measured);
         let own = &self.spec.observation[shown..];
         let mut finite = self.bound_all("observation", measured, own);

@@ -1,17 +1,16 @@
 //! Bodies of another kind than rigid join a world: a rope of point masses that falls onto a floor.
 
 use nalgebra::{Point3, Vector3};
-use trocar_proto::goal::Reward;
-use trocar_proto::relative::Relative;
+use trocar_proto::builtin::TaskInfo;
 use trocar_proto::spec::{Element, OptionSpec};
-use trocar_proto::{Options, Rejection, TaskSpec};
+use trocar_proto::{Options, Rejection};
 use trocar_server::error::StepError;
 use trocar_server::render::{Lens, Renderer, Scene, Software};
 use trocar_server::sim::frames::{Aabb, Pose};
 use trocar_server::sim::random::Rng;
 use trocar_server::sim::world::{GRAVITY, Motion, NonRigid, Part, Shape, Solver, Surface, World};
 use trocar_server::tasks::expert::ExpertInput;
-use trocar_server::tasks::options;
+use trocar_server::tasks::{Registered, State, options};
 use trocar_server::{Env, Registry, Task};
 
 /// Height from which the rope falls, m.
@@ -102,8 +101,14 @@ struct Falls {
     breaks: bool,
 }
 
-impl Task for Falls {
-    const ID: &'static str = "Falls-v0";
+impl Registered for Falls {
+    const INFO: TaskInfo = TaskInfo {
+        id: "Falls-v0",
+        summary: "Watch a rope fall.",
+        steps: 50,
+        hertz: 20.0,
+        tags: &[],
+    };
 
     fn options() -> Vec<OptionSpec> {
         vec![options::observation()]
@@ -121,21 +126,16 @@ impl Task for Falls {
         world.add(Box::new(Rope::new(8)));
         Ok((Self { breaks: false }, world))
     }
+}
 
-    fn spec(&self) -> TaskSpec {
-        TaskSpec {
-            id: Self::ID.into(),
-            summary: "Watch a rope fall.".into(),
-            max_steps: 50,
-            seconds_per_step: 0.05,
-            action: vec![Element::new("break", "", "1", -1.0, 1.0)],
-            observation: vec![Element::new("height", "world", "m", -1.0, 1.0)],
-            goal: None,
-            reward: Reward::State,
-            options: Self::options(),
-            relative: Relative::default(),
-            images: None,
-        }
+impl Task for Falls {
+    fn action(&self) -> Vec<Element> {
+        vec![Element::new("break", "", "1", -1.0, 1.0)]
+    }
+
+    fn state(&self, world: &World, state: &mut State<'_>) {
+        let height = world.others().next().unwrap().bounds().centre().z;
+        state.field(|| Element::new("height", "world", "m", -1.0, 1.0), height);
     }
 
     fn reset(&mut self, world: &mut World, _: &mut Rng) {
@@ -155,10 +155,6 @@ impl Task for Falls {
         }
     }
 
-    fn observe(&self, world: &World, observation: &mut [f32], _: &mut [f32], _: &mut [f32]) {
-        observation[0] = world.others().next().unwrap().bounds().centre().z as f32;
-    }
-
     fn scene(&self, world: &World, scene: &mut Scene) {
         scene.add_world(world);
         scene.look_at(&Aabb::new([-0.05, -0.02, 0.0], [0.05, 0.02, HEIGHT]));
@@ -172,7 +168,7 @@ impl Task for Falls {
 fn env() -> Env {
     let mut registry = Registry::empty();
     registry.register::<Falls>();
-    let mut env = registry.make(Falls::ID, &Options::new()).unwrap();
+    let mut env = registry.make(Falls::INFO.id, &Options::new()).unwrap();
     env.reset(Some(1));
     env
 }

@@ -4,8 +4,9 @@
 
 use nalgebra::Vector3;
 use rayon::prelude::*;
-use trocar_proto::spec::OptionSpec;
-use trocar_proto::{OptionValue, Options, Rejection, Stage, TaskSpec};
+use trocar_proto::builtin::TaskInfo;
+use trocar_proto::spec::{Element, GoalSpec, OptionSpec};
+use trocar_proto::{OptionValue, Options, Rejection, Stage};
 use trocar_server::render::Scene;
 use trocar_server::sim::frames::Aabb;
 use trocar_server::sim::random::Rng;
@@ -14,7 +15,7 @@ use trocar_server::tasks::expert::ExpertInput;
 use trocar_server::tasks::gauze_retrieve::GauzeRetrieve;
 use trocar_server::tasks::needle_pick::NeedlePick;
 use trocar_server::tasks::peg_transfer::PegTransfer;
-use trocar_server::tasks::{Arms, Registry, Task};
+use trocar_server::tasks::{Arms, Registered, Registry, State, Task};
 
 /// By how much an expert is wrong about heights at most, m.
 const WRONG: f64 = 1e-3;
@@ -29,8 +30,8 @@ struct Misled<T> {
     error: f64,
 }
 
-impl<T: Task> Task for Misled<T> {
-    const ID: &'static str = T::ID;
+impl<T: Registered> Registered for Misled<T> {
+    const INFO: TaskInfo = T::INFO;
 
     fn options() -> Vec<OptionSpec> {
         T::options()
@@ -39,9 +40,15 @@ impl<T: Task> Task for Misled<T> {
     fn new(options: &Options) -> Result<(Self, World), Rejection> {
         T::new(options).map(|(task, world)| (Self { task, error: 0.0 }, world))
     }
+}
 
-    fn spec(&self) -> TaskSpec {
-        self.task.spec()
+impl<T: Registered> Task for Misled<T> {
+    fn action(&self) -> Vec<Element> {
+        self.task.action()
+    }
+
+    fn goal(&self) -> Option<GoalSpec> {
+        self.task.goal()
     }
 
     fn reset(&mut self, world: &mut World, rng: &mut Rng) {
@@ -64,8 +71,12 @@ impl<T: Task> Task for Misled<T> {
         self.task.after_step(world);
     }
 
-    fn observe(&self, world: &World, state: &mut [f32], achieved: &mut [f32], desired: &mut [f32]) {
-        self.task.observe(world, state, achieved, desired);
+    fn state(&self, world: &World, state: &mut State<'_>) {
+        self.task.state(world, state);
+    }
+
+    fn goals(&self, world: &World, achieved: &mut [f32], desired: &mut [f32]) {
+        self.task.goals(world, achieved, desired);
     }
 
     fn expert(&self, world: &World, input: &ExpertInput<'_>, action: &mut [f32]) {

@@ -11,6 +11,7 @@ use trocar_server::sim::random::Rng;
 use trocar_server::tasks::Registry;
 
 mod domain;
+mod heads;
 
 /// What an environment shows after a reset or step.
 #[derive(Debug, Clone)]
@@ -90,7 +91,7 @@ fn make((id, options): &(String, Options)) -> Env {
     Registry::builtin().make(id, options).unwrap()
 }
 
-/// Whether an element changes under these options, as the task's documentation says; none where it may or may not.
+/// Whether an element changes under these options, as the task says; none where it may or may not.
 fn varies((id, options): &(String, Options), element: &Element) -> Option<bool> {
     let paper = options.text("action").is_none_or(|mode| mode == "paper");
     // Fingers pass through an object that an attachment will hold, which is carried as it lay; so is a heavy one
@@ -104,28 +105,16 @@ fn varies((id, options): &(String, Options), element: &Element) -> Option<bool> 
     if paper && attached && (is_tilt || element.name == "crest yaw") {
         return None;
     }
-    let constant: &[&str] = match id.as_str() {
-        "NeedleReach-v0" if !paper => &["jaw"],
-        "NeedleReach-v0" => &["jaw", "wrist link roll", "wrist link pitch", "wrist link yaw"],
-        "GauzeRetrieve-v0" => &["wrist link roll", "wrist link pitch", "wrist link yaw"],
-        "NeedlePick-v0" | "PegTransfer-v0" => &["wrist link roll", "wrist link pitch"],
-        "NeedleRegrasp-v0" => &["PSM1 wrist link roll", "PSM1 wrist link yaw"],
-        "BiPegTransfer-v0" => &[
-            "PSM1 wrist link roll",
-            "PSM1 wrist link pitch",
-            "PSM2 wrist link roll",
-            "PSM2 wrist link pitch",
-        ],
-        "EcmReach-v0" => &["camera yaw"],
-        "StaticTrack-v0" => &["target in view"],
-        _ => &[],
-    };
-    let is_listed = constant.contains(&element.name.as_str());
-    Some(!(is_listed && (paper || id == "NeedleReach-v0")))
+    Some(!Registry::builtin().is_constant(id, &element.name, paper))
 }
 
 #[test]
 fn specifications_are_complete_and_every_box_is_finite() {
+    let [mut known, mut listed] =
+        [Registry::builtin().ids().map(String::from).collect::<Vec<_>>(), vec![]];
+    listed.extend(trocar_server::tasks::builtin::ALL.iter().map(|task| task.id.to_string()));
+    [&mut known, &mut listed].map(|ids| ids.sort());
+    assert_eq!(known, listed, "clients know the tasks without a server");
     for variant in variants() {
         let env = make(&variant);
         let spec = env.spec();

@@ -8,19 +8,19 @@
 
 use anyhow::Context;
 use nalgebra::Vector3;
-use trocar_proto::goal::{Reward, SuccessRule};
-use trocar_proto::relative::Relative;
-use trocar_proto::spec::{GoalSpec, OptionSpec};
-use trocar_proto::{Options, Rejection, TaskSpec};
+use trocar_proto::builtin::TaskInfo;
+use trocar_proto::goal::SuccessRule;
+use trocar_proto::spec::{Element, GoalSpec, OptionSpec};
+use trocar_proto::{Options, Rejection};
 use trocar_server::assets::Scene;
 use trocar_server::sim::frames::{self, Aabb, Pose};
 use trocar_server::sim::instrument::{CLEARANCE, JAW_CLOSED, TIP_OFFSET};
 use trocar_server::sim::random::Rng;
 use trocar_server::sim::world::{BodyId, Solver, World};
-use trocar_server::tasks::Arms;
 use trocar_server::tasks::expert::{ArmView, ExpertInput};
 use trocar_server::tasks::options::{self, Preset};
 use trocar_server::tasks::psm_scene::{PaperAction, PsmArm, Station, Turn};
+use trocar_server::tasks::{Arms, Registered, State};
 use trocar_server::{Registry, ServerConfig, StopSignal, Task, serve};
 
 /// Where cubes start, m: those of the whole range along x lie in front of the arm's start.
@@ -28,6 +28,9 @@ const STARTS: Aabb = Aabb::new([0.53, -0.03, 0.0], [0.55, 0.03, 0.0]);
 
 /// How far they are to go along x, m.
 const DISTANCES: [f64; 2] = [0.02, 0.035];
+
+/// Where the cube is observed, m.
+const THEATRE: Aabb = Aabb::new([0.4, -0.2, 0.5], [0.7, 0.2, 0.9]);
 
 /// Distance below which the goal is reached, m.
 const TOLERANCE: f32 = 0.003;
@@ -46,11 +49,16 @@ struct PushCube {
     /// Height of a cube that lies on the board, m.
     height: f64,
     goal: Vector3<f64>,
-    reward: Reward,
 }
 
-impl Task for PushCube {
-    const ID: &'static str = "PushCube-v0";
+impl Registered for PushCube {
+    const INFO: TaskInfo = TaskInfo {
+        id: "PushCube-v0",
+        summary: "Push a cube along a board to a goal.",
+        steps: 50,
+        hertz: 5.0,
+        tags: &[],
+    };
 
     fn options() -> Vec<OptionSpec> {
         vec![options::reward(), options::action(), options::observation(), options::domain()]
@@ -69,30 +77,21 @@ impl Task for PushCube {
             cube,
             height: scene.body("cube").1.translation.z,
             goal: Vector3::zeros(),
-            reward: options::reward_of(options),
         };
         Ok((task, world))
     }
+}
 
-    fn spec(&self) -> TaskSpec {
-        let theatre = Aabb::new([0.4, -0.2, 0.5], [0.7, 0.2, 0.9]);
-        let cube = options::position_elements("cube", "scene", &theatre, Preset::Paper);
-        TaskSpec {
-            id: Self::ID.into(),
-            summary: "Push a cube along a board to a goal.".into(),
-            max_steps: 50,
-            seconds_per_step: self.arm.rate().seconds(),
-            action: self.arm.action_elements(),
-            observation: [self.arm.observation_elements(), cube.clone()].concat(),
-            goal: Some(GoalSpec {
-                elements: cube,
-                success: SuccessRule::Distance { tolerance: TOLERANCE },
-            }),
-            reward: self.reward,
-            options: Self::options(),
-            relative: Relative::default(),
-            images: None,
-        }
+impl Task for PushCube {
+    fn action(&self) -> Vec<Element> {
+        self.arm.action_elements()
+    }
+
+    fn goal(&self) -> Option<GoalSpec> {
+        Some(GoalSpec {
+            elements: options::position_elements("cube", "scene", &THEATRE, Preset::Paper),
+            success: SuccessRule::Distance { tolerance: TOLERANCE },
+        })
     }
 
     fn reset(&mut self, world: &mut World, rng: &mut Rng) {
@@ -111,20 +110,18 @@ impl Task for PushCube {
         [&mut self.arm].into_iter().collect()
     }
 
-    fn observe(
-        &self,
-        world: &World,
-        observation: &mut [f32],
-        achieved: &mut [f32],
-        desired: &mut [f32],
-    ) {
-        self.arm.observe(world, observation);
+    fn state(&self, world: &World, state: &mut State<'_>) {
+        self.arm.state(world, state);
+        let cube = world.pose(self.cube).translation.vector;
+        state.position("cube", "scene", &THEATRE, Preset::Paper, &cube);
+    }
+
+    fn goals(&self, world: &World, achieved: &mut [f32], desired: &mut [f32]) {
         let cube = world.pose(self.cube).translation.vector;
         for axis in 0..3 {
             achieved[axis] = cube[axis] as f32;
             desired[axis] = self.goal[axis] as f32;
         }
-        observation[PsmArm::OBSERVED..].copy_from_slice(achieved);
     }
 
     fn expert(&self, world: &World, input: &ExpertInput<'_>, action: &mut [f32]) {
@@ -165,7 +162,7 @@ mod tests {
     fn the_expert_pushes_every_cube_to_its_goal_and_snapshots_go_on() {
         let mut registry = Registry::empty();
         registry.register::<PushCube>();
-        let fresh = registry.make(PushCube::ID, &Options::new()).unwrap();
+        let fresh = registry.make(PushCube::INFO.id, &Options::new()).unwrap();
         let mut env = fresh.clone();
         let mut action = vec![0.0; env.spec().action_dim()];
         for seed in 0..20 {

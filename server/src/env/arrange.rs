@@ -6,7 +6,7 @@ use trocar_proto::{Code, Placement, Rejection};
 use super::{Env, State};
 use crate::sim::frames::{self, Pose};
 use crate::sim::world::{BodyId, SUBSTEPS_PER_SECOND, World};
-use crate::tasks::AnyTask;
+use crate::tasks::Task;
 
 /// Time in which an object that was placed must have come to rest, s.
 const SETTLING: f64 = 2.0;
@@ -60,7 +60,7 @@ impl Env {
 }
 
 fn arrange(
-    task: &mut dyn AnyTask,
+    task: &mut dyn Task,
     world: &mut World,
     placement: &Placement,
     goal_dim: usize,
@@ -96,7 +96,7 @@ fn arrange(
 
 /// Puts an object where it shall be.
 fn place(
-    task: &dyn AnyTask,
+    task: &dyn Task,
     world: &mut World,
     name: &str,
     pose: &[f64],
@@ -122,7 +122,7 @@ fn place(
 }
 
 /// Lets time pass until the objects rest where they were put, while no instrument takes part.
-fn settle(task: &mut dyn AnyTask, world: &mut World, objects: &[Placed]) -> Result<(), Rejection> {
+fn settle(task: &mut dyn Task, world: &mut World, objects: &[Placed]) -> Result<(), Rejection> {
     for arm in &mut task.arms() {
         arm.instrument().withdraw(world);
     }
@@ -180,7 +180,7 @@ fn settle(task: &mut dyn AnyTask, world: &mut World, objects: &[Placed]) -> Resu
 }
 
 /// Puts the arms where their tips shall be.
-fn put_tips(task: &mut dyn AnyTask, tip: &[f64]) -> Result<(), Rejection> {
+fn put_tips(task: &mut dyn Task, tip: &[f64]) -> Result<(), Rejection> {
     let mut arms = task.arms();
     let count = arms.len();
     if count == 0 {
@@ -201,7 +201,7 @@ fn put_tips(task: &mut dyn AnyTask, tip: &[f64]) -> Result<(), Rejection> {
 }
 
 /// Whether no arm is in anything where it begins; `is_put` tells whether the reset asked for that.
-fn check_arms(task: &mut dyn AnyTask, world: &World, is_put: bool) -> Result<(), Rejection> {
+fn check_arms(task: &mut dyn Task, world: &World, is_put: bool) -> Result<(), Rejection> {
     let field = if is_put { "options.tip" } else { "options.objects" };
     let arms = task.arms();
     for arm in &arms {

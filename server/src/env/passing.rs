@@ -7,7 +7,7 @@ use crate::error::StepError;
 use crate::render::Scene;
 use crate::sim::motion::Effort;
 use crate::sim::random::Rng;
-use crate::tasks::AnyTask;
+use crate::tasks::Task;
 use crate::tasks::options::Domain;
 
 /// The noise of an episode's actuators.
@@ -41,7 +41,7 @@ impl Actuation {
     }
 
     /// Disturbs the next command of a task.
-    fn disturb(&mut self, task: &mut dyn AnyTask) {
+    fn disturb(&mut self, task: &mut dyn Task) {
         if self.sigma == 0.0 && self.sigma_angle == 0.0 {
             return;
         }

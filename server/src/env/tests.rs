@@ -1,20 +1,26 @@
 //! Episodes, delays, noise, domains and failures of an environment.
 
 use trocar_proto::Options;
-use trocar_proto::relative::Relative;
+use trocar_proto::builtin::TaskInfo;
 use trocar_proto::spec::{Element, OptionSpec};
 
 use super::*;
 use crate::sim::world::Solver;
 use crate::tasks::expert::ExpertInput;
-use crate::tasks::{Registry, Task};
+use crate::tasks::{Registered, Registry, Task};
 
 /// A task whose observation leaves its range when the action is 0.75, and is no number when it is 1.
 #[derive(Clone)]
 struct Fragile(f32);
 
-impl Task for Fragile {
-    const ID: &'static str = "Fragile-v0";
+impl Registered for Fragile {
+    const INFO: TaskInfo = TaskInfo {
+        id: "Fragile-v0",
+        summary: "Leave the range, or break.",
+        steps: 3,
+        hertz: 10.0,
+        tags: &[],
+    };
 
     fn options() -> Vec<OptionSpec> {
         vec![]
@@ -23,21 +29,15 @@ impl Task for Fragile {
     fn new(_: &Options) -> Result<(Self, World), Rejection> {
         Ok((Self(0.0), World::new(Solver::LIGHT)))
     }
+}
 
-    fn spec(&self) -> TaskSpec {
-        TaskSpec {
-            id: Self::ID.into(),
-            summary: String::new(),
-            max_steps: 3,
-            seconds_per_step: 0.1,
-            action: vec![Element::new("break", "", "1", -1.0, 1.0)],
-            observation: vec![Element::new("state", "", "1", -1.0, 1.0)],
-            goal: None,
-            reward: Reward::State,
-            options: vec![],
-            relative: Relative::default(),
-            images: None,
-        }
+impl Task for Fragile {
+    fn action(&self) -> Vec<Element> {
+        vec![Element::new("break", "", "1", -1.0, 1.0)]
+    }
+
+    fn state(&self, _: &World, state: &mut Fields<'_>) {
+        state.field(|| Element::new("state", "", "1", -1.0, 1.0), self.0.into());
     }
 
     fn reset(&mut self, _: &mut World, _: &mut Rng) {
@@ -50,10 +50,6 @@ impl Task for Fragile {
             Some(&[0.75]) => 1.5,
             _ => 0.5,
         };
-    }
-
-    fn observe(&self, _: &World, observation: &mut [f32], _: &mut [f32], _: &mut [f32]) {
-        observation[0] = self.0;
     }
 
     fn reward(&self, _: &World) -> f32 {

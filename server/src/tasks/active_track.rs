@@ -90,24 +90,20 @@
 //!
 //! - v0: first version.
 
-use trocar_proto::goal::Reward;
-use trocar_proto::relative::Relative;
-use trocar_proto::spec::OptionSpec;
-use trocar_proto::{Options, Rejection, TaskSpec};
+use trocar_proto::builtin::{self, TaskInfo};
+use trocar_proto::spec::{Element, OptionSpec};
+use trocar_proto::{Options, Rejection};
 
-use super::Task;
 use super::camera::Cube;
 use super::ecm_scene::{CAMERA_ANGLE, EcmArm, RATE};
 use super::expert::{ExpertInput, Sees};
 use super::options::{self, Preset};
 use super::path::{self, LAP, Path};
 use super::track::{Layout, Tracker};
+use super::{Registered, State, Task};
 use crate::render::Scene;
 use crate::sim::random::Rng;
 use crate::sim::world::{Solver, World};
-
-/// Steps of an episode.
-const MAX_STEPS: u32 = 500;
 
 /// Joints at the start, rad; index 2 in m. Source: the original.
 const START: [f64; 4] = [0.0, 0.0, 0.02, 0.0];
@@ -148,8 +144,8 @@ impl ActiveTrack {
     }
 }
 
-impl Task for ActiveTrack {
-    const ID: &'static str = "ActiveTrack-v0";
+impl Registered for ActiveTrack {
+    const INFO: TaskInfo = builtin::ACTIVE_TRACK;
 
     fn options() -> Vec<OptionSpec> {
         vec![
@@ -170,21 +166,11 @@ impl Task for ActiveTrack {
         let task = Self { tracker, preset: options::preset_of(options), path, start: 0, steps: 0 };
         Ok((task, World::new(Solver::HEAVY)))
     }
+}
 
-    fn spec(&self) -> TaskSpec {
-        TaskSpec {
-            id: Self::ID.into(),
-            summary: "Follow a moving cube with the endoscope.".into(),
-            max_steps: self.tracker.rate().steps(MAX_STEPS),
-            seconds_per_step: self.tracker.rate().seconds(),
-            action: self.tracker.action_elements(),
-            observation: self.tracker.observation_elements(),
-            goal: None,
-            reward: Reward::State,
-            options: Self::options(),
-            relative: Relative::default(),
-            images: None,
-        }
+impl Task for ActiveTrack {
+    fn action(&self) -> Vec<Element> {
+        self.tracker.action_elements()
     }
 
     fn reset(&mut self, _: &mut World, rng: &mut Rng) {
@@ -224,8 +210,8 @@ impl Task for ActiveTrack {
         self.tracker.move_target(&self.path.at(self.start as f64 + laps));
     }
 
-    fn observe(&self, _: &World, observation: &mut [f32], _: &mut [f32], _: &mut [f32]) {
-        self.tracker.observe(observation);
+    fn state(&self, _: &World, state: &mut State<'_>) {
+        self.tracker.state(state);
     }
 
     fn scene(&self, _: &World, scene: &mut Scene) {
@@ -351,7 +337,7 @@ mod tests {
             let (mut returned, mut action) = (0.0, [0.0; 3]);
             for seed in 0..episodes {
                 let (mut task, mut world) = episode(&options, seed);
-                for step in 0..MAX_STEPS {
+                for step in 0..ActiveTrack::INFO.steps {
                     task.expert(&world, &ExpertInput::default(), &mut action);
                     time::step(&mut task, &mut world, Some(&action), RATE.substeps());
                     assert!(

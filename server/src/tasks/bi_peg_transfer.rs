@@ -110,9 +110,10 @@
 //! - v0: first version.
 
 use nalgebra::Vector3;
-use trocar_proto::goal::Reward;
-use trocar_proto::spec::OptionSpec;
-use trocar_proto::{Options, Rejection, Stage, TaskSpec};
+use trocar_proto::builtin::{self, TaskInfo};
+use trocar_proto::relative::Relative;
+use trocar_proto::spec::{Element, GoalSpec, OptionSpec};
+use trocar_proto::{Options, Rejection, Stage};
 
 use super::bimanual::{self, HandOver, Phase, Waypoint};
 use super::expert::{ArmView, ExpertInput};
@@ -120,12 +121,12 @@ use super::objects;
 use super::options::{self, Preset};
 use super::peg_board::{Block, Layout, PegBoard};
 use super::peg_expert::{self, Transfer};
-use super::psm_scene::{self, MAX_STEPS, PaperAction, PsmArm, Station, Turn};
+use super::psm_scene::{self, PaperAction, PsmArm, Station, Turn};
 use super::relative::Grasping;
 use super::start::{self, Start};
 use super::theatre;
 use super::tray;
-use super::{Arms, Task};
+use super::{Arms, Registered, State, Task};
 use crate::render::Scene;
 use crate::sim::frames::{Aabb, Pose};
 use crate::sim::grasp::{Grasp, GraspMode};
@@ -138,6 +139,9 @@ const BLOCKS: usize = 6;
 
 /// The walls of the block that are observed. Source: the original, whose PSM1 and PSM2 grasp them.
 const WALLS: [usize; 2] = [1, 2];
+
+/// What the state calls them.
+const WALL_NAMES: [&str; 2] = ["wall 1", "wall 2"];
 
 /// Where PSM1 and PSM2 work, m. Source: the original.
 const WORKSPACES: [Aabb; 2] = [
@@ -173,12 +177,17 @@ pub struct BiPegTransfer {
     together: f64,
     start: Start,
     preset: Preset,
-    reward: Reward,
     layout: Layout,
 }
 
-impl Task for BiPegTransfer {
-    const ID: &'static str = "BiPegTransfer-v0";
+impl Registered for BiPegTransfer {
+    const INFO: TaskInfo = builtin::BI_PEG_TRANSFER;
+    const CONSTANT_UNDER_PAPER: &'static [&'static str] = &[
+        "PSM1 wrist link roll",
+        "PSM1 wrist link pitch",
+        "PSM2 wrist link roll",
+        "PSM2 wrist link pitch",
+    ];
 
     fn options() -> Vec<OptionSpec> {
         objects::options(2, Block::SIZE, [start::option()], [])
@@ -209,19 +218,26 @@ impl Task for BiPegTransfer {
             together: 0.0,
             start: Start::of(options),
             preset,
-            reward: options::reward_of(options),
             layout,
         };
         Ok((task, world))
     }
+}
 
-    fn spec(&self) -> TaskSpec {
-        let [one, two] = &self.arms;
-        let walls = ["wall 1", "wall 2"];
+impl Task for BiPegTransfer {
+    fn action(&self) -> Vec<Element> {
+        bimanual::action_elements(self.arms.each_ref())
+    }
+
+    fn goal(&self) -> Option<GoalSpec> {
+        Some(PegBoard::goal_spec(self.preset))
+    }
+
+    fn relative(&self, _: &[Element]) -> Relative {
         let grasping = Grasping {
-            arms: [one, two],
+            arms: self.arms.each_ref(),
             object: "block",
-            places: walls,
+            places: WALL_NAMES,
             grips: [
                 peg_expert::grips_in_air(self.layout.block, WALLS[0]),
                 peg_expert::grips_on_peg(self.layout.block, WALLS[0]),
@@ -229,19 +245,7 @@ impl Task for BiPegTransfer {
             level: Some(peg_expert::clear_of_pegs(self.layout.block)),
             preset: self.preset,
         };
-        TaskSpec {
-            id: Self::ID.into(),
-            summary: "Take a block to the other arm, which puts it onto a peg.".into(),
-            max_steps: one.rate().steps(MAX_STEPS),
-            seconds_per_step: one.rate().seconds(),
-            action: bimanual::action_elements([one, two]),
-            observation: bimanual::observation_elements([one, two], "block", walls, self.preset),
-            goal: Some(PegBoard::goal_spec(self.preset)),
-            reward: self.reward,
-            options: Self::options(),
-            relative: grasping.features(),
-            images: None,
-        }
+        grasping.features()
     }
 
     fn begins_prepared(&self) -> bool {
@@ -249,7 +253,7 @@ impl Task for BiPegTransfer {
     }
 
     fn prepare(&mut self, world: &mut World, rng: &mut Rng) {
-        start::bring_about(self, world, rng, Self::begin, |task, world| {
+        start::bring_about(self, world, rng, self.arms[0].rate(), Self::begin, |task, world| {
             task.fetching().progress(&task.arms[1], world) >= task.start
         });
     }
@@ -288,19 +292,18 @@ impl Task for BiPegTransfer {
         self.together = bimanual::holding_together(arms, world, block.body(), self.together);
     }
 
-    fn observe(
-        &self,
-        world: &World,
-        observation: &mut [f32],
-        achieved: &mut [f32],
-        desired: &mut [f32],
-    ) {
-        let [one, two] = &self.arms;
+    fn state(&self, world: &World, state: &mut State<'_>) {
+        let block = self.layout.block;
+        let centre = ("block", &world.pose(block.body()));
+        let [one, two] = &WALLS.map(|wall| block.scene_from_wall(world, wall));
+        let walls = [(WALL_NAMES[0], one), (WALL_NAMES[1], two)];
+        bimanual::state(self.arms.each_ref(), centre, walls, self.preset, world, state);
+    }
+
+    fn goals(&self, world: &World, achieved: &mut [f32], desired: &mut [f32]) {
         let Layout { block, target } = self.layout;
-        let centre = world.pose(block.body());
-        let walls = WALLS.map(|wall| block.scene_from_wall(world, wall));
-        bimanual::observe([one, two], world, &centre, &walls, self.preset, observation);
-        objects::write_goal(&centre.translation.vector, self.preset, achieved);
+        let centre = world.pose(block.body()).translation.vector;
+        objects::write_goal(&centre, self.preset, achieved);
         objects::write_goal(&PegBoard::peg(target), self.preset, desired);
     }
 
@@ -452,7 +455,7 @@ mod tests {
             let (mut task, mut world) = BiPegTransfer::new(&Options::new()).unwrap();
             Task::reset(&mut task, &mut world, &mut Rng::new(seed, 0));
             let (mut handed_over, mut by_two) = (false, false);
-            for _ in 0..MAX_STEPS {
+            for _ in 0..BiPegTransfer::INFO.steps {
                 act_as_expert(&mut task, &mut world);
                 let block = world.pose(task.object());
                 let held = task.arms.each_ref().map(|arm| arm.holds(&world, task.object()));

@@ -9,6 +9,7 @@ use super::expert::{ArmView, ExpertInput};
 use super::objects::{self, THEATRE};
 use super::options::{self, Preset};
 use super::psm_scene::PsmArm;
+use super::state::State;
 use crate::sim::frames::{self, Aabb, Pose};
 use crate::sim::instrument::{JAW_CLOSED, JAW_OPEN, TIP_OFFSET};
 use crate::sim::world::{BodyId, World};
@@ -17,71 +18,48 @@ use crate::sim::world::{BodyId, World};
 /// that both hold.
 const DRAGGED: f64 = 0.02;
 
-/// The elements of [`observe`]: of both arms, of the object `object`, and of the two `places` at which it is grasped.
-pub fn observation_elements(
+/// What a state has of two arms and an object: both arms (7 each), the object's origin (3), that less PSM1's and PSM2's
+/// wrist (3 each), and the two places at which it is grasped, each by position (3) and extrinsic XYZ Euler angles (3).
+/// `object` and `places` are names and where they are.
+pub fn state(
     arms: [&PsmArm; 2],
-    object: &str,
-    places: [&str; 2],
+    (object, scene_from_object): (&str, &Pose),
+    places: [(&str, &Pose); 2],
     preset: Preset,
-) -> Vec<Element> {
+    world: &World,
+    state: &mut State<'_>,
+) {
     let bounds = arms[0].reach().merged(arms[1].reach()).grown(DRAGGED);
-    let mut elements = named(arms.map(|arm| arm.observation_elements_within(&bounds)));
-    elements.extend(objects::position_elements(object, &THEATRE, preset));
-    let relative = Aabb { min: THEATRE.min - bounds.max, max: THEATRE.max - bounds.min };
-    for arm in ["PSM1", "PSM2"] {
-        let name = format!("{object} from {arm} wrist");
-        elements.extend(objects::position_elements(&name, &relative, preset));
+    for (name, arm) in ARMS.into_iter().zip(arms) {
+        state.named(name, |state| arm.state_within(&bounds, world, state));
     }
-    for place in places {
-        elements.extend(objects::position_elements(place, &THEATRE, preset));
-        elements.extend(options::euler_elements(place, "scene"));
+    let origin = scene_from_object.translation.vector;
+    objects::position(object, &THEATRE, preset, &origin, state);
+    let scale = options::position_scale(preset);
+    for (arm, wrist) in ARMS.into_iter().zip(arms.map(PsmArm::scene_from_wrist)) {
+        let less_wrist = (origin - wrist.translation.vector) * scale;
+        let elements = || {
+            let relative = Aabb { min: THEATRE.min - bounds.max, max: THEATRE.max - bounds.min };
+            objects::position_elements(&format!("{object} from {arm} wrist"), &relative, preset)
+        };
+        state.fields(elements, less_wrist.iter().copied());
     }
-    elements
+    for (name, place) in places {
+        objects::position(name, &THEATRE, preset, &place.translation.vector, state);
+        state.angles(name, "scene", frames::euler_xyz(&place.rotation));
+    }
 }
+
+/// The names of the arms.
+const ARMS: [&str; 2] = ["PSM1", "PSM2"];
 
 /// The elements of an action: those of PSM1, then those of PSM2.
 pub fn action_elements(arms: [&PsmArm; 2]) -> Vec<Element> {
-    named(arms.map(PsmArm::action_elements))
-}
-
-fn named(elements: [Vec<Element>; 2]) -> Vec<Element> {
-    let named = |(index, elements): (usize, Vec<Element>)| {
-        elements.into_iter().map(move |mut element| {
-            element.name = format!("PSM{} {}", index + 1, element.name);
-            element
-        })
-    };
-    elements.into_iter().enumerate().flat_map(named).collect()
-}
-
-/// Writes what is observed: both arms (7 each), the object's origin (3), that less PSM1's and PSM2's
-/// wrist (3 each), and the two places at which it is grasped, each by position (3) and extrinsic XYZ
-/// Euler angles (3).
-pub fn observe(
-    arms: [&PsmArm; 2],
-    world: &World,
-    object: &Pose,
-    places: &[Pose; 2],
-    preset: Preset,
-    observation: &mut [f32],
-) {
-    let (first, rest) = observation.split_at_mut(PsmArm::OBSERVED);
-    let (second, rest) = rest.split_at_mut(PsmArm::OBSERVED);
-    arms[0].observe(world, first);
-    arms[1].observe(world, second);
-    let scale = options::position_scale(preset);
-    let origin = object.translation.vector;
-    let relative = arms.map(|arm| origin - arm.scene_from_wrist().translation.vector);
-    let places = places.iter().flat_map(|place| {
-        let angles = frames::euler_xyz(&place.rotation);
-        let at = place.translation.vector * scale;
-        at.iter().copied().chain(angles).collect::<Vec<_>>()
-    });
-    let positions = [origin, relative[0], relative[1]];
-    let numbers = positions.iter().flat_map(|position| position.iter().map(|x| x * scale));
-    for (value, number) in rest.iter_mut().zip(numbers.chain(places)) {
-        *value = number as f32;
-    }
+    State::elements(|state| {
+        for (name, arm) in ARMS.into_iter().zip(arms) {
+            state.named(name, |state| state.fields(|| arm.action_elements(), []));
+        }
+    })
 }
 
 /// How near an arm is to where it offers an object before the other comes, and for as long as that goes on, m and rad.
@@ -271,18 +249,18 @@ pub fn staying(arm: &ArmView<'_>) -> Waypoint {
 pub(super) mod tests {
     use super::*;
     use crate::sim::random::Rng;
-    use crate::tasks::Task;
     use crate::tasks::bi_peg_transfer::BiPegTransfer;
     use crate::tasks::needle_regrasp::NeedleRegrasp;
-    use crate::tasks::psm_scene::{MAX_STEPS, RATE};
+    use crate::tasks::psm_scene::RATE;
     use crate::tasks::time;
+    use crate::tasks::{Registered, Task};
     use trocar_proto::Options;
 
     /// How far shafts may overlap that pushed against each other, m: what they move in a substep.
     const TOUCHING: f64 = 0.2e-3;
 
     /// A task whose arms and object tests look at.
-    pub(in crate::tasks) trait Watched: Task {
+    pub(in crate::tasks) trait Watched: Registered {
         fn both(&self) -> &[PsmArm; 2];
         fn object(&self) -> BodyId;
     }
@@ -321,7 +299,7 @@ pub(super) mod tests {
             let (mut task, mut world) = (first.clone(), before.clone());
             Task::reset(&mut task, &mut world, &mut rng);
             // At the same height first, then at random.
-            for step in 0..MAX_STEPS {
+            for step in 0..T::INFO.steps {
                 let mut action: Vec<_> = (0..10).map(|_| rng.uniform(-1.0, 1.0) as f32).collect();
                 let [one, two] = task.both().each_ref().map(|arm| *arm.scene_from_wrist());
                 let off = two.translation.vector - one.translation.vector;

@@ -74,23 +74,22 @@
 //! - v0: first version.
 
 use nalgebra::Vector3;
-use trocar_proto::goal::{Reward, SuccessRule};
-use trocar_proto::spec::{GoalSpec, OptionSpec};
-use trocar_proto::{Options, Rejection, TaskSpec};
+use trocar_proto::builtin::{self, TaskInfo};
+use trocar_proto::goal::SuccessRule;
+use trocar_proto::relative::Relative;
+use trocar_proto::spec::{Element, GoalSpec, OptionSpec};
+use trocar_proto::{Options, Rejection};
 
-use super::Task;
 use super::ecm_scene::{Control, EcmArm, RATE, STEP_LENGTH};
 use super::expert::{ExpertInput, Sees};
 use super::goal;
 use super::options::{self, Preset};
 use super::relative;
+use super::{Registered, State, Task};
 use crate::render::Scene;
 use crate::sim::frames::Aabb;
 use crate::sim::random::Rng;
 use crate::sim::world::{Solver, World};
-
-/// Steps of an episode.
-const MAX_STEPS: u32 = 50;
 
 /// Where the camera starts, m, world frame. Source: the original.
 const START: [f64; 3] = [0.50, 0.0, 0.70];
@@ -111,12 +110,12 @@ const EXPERT_SPEED: f64 = 0.3;
 #[derive(Debug, Clone)]
 pub struct EcmReach {
     arm: EcmArm,
-    reward: Reward,
     goal: Vector3<f64>,
 }
 
-impl Task for EcmReach {
-    const ID: &'static str = "EcmReach-v0";
+impl Registered for EcmReach {
+    const INFO: TaskInfo = builtin::ECM_REACH;
+    const CONSTANT_UNDER_PAPER: &'static [&'static str] = &["camera yaw"];
 
     fn options() -> Vec<OptionSpec> {
         // Where the camera is does not depend on its direction.
@@ -143,31 +142,27 @@ impl Task for EcmReach {
             let why = "the arm must reach the corners of the goals' box within its joint limits";
             return Err(options::refuse_setup(options, why));
         }
-        let task = Self { arm, reward: options::reward_of(options), goal: Vector3::zeros() };
+        let task = Self { arm, goal: Vector3::zeros() };
         Ok((task, World::new(Solver::HEAVY)))
     }
+}
 
-    fn spec(&self) -> TaskSpec {
+impl Task for EcmReach {
+    fn action(&self) -> Vec<Element> {
+        self.arm.action_elements()
+    }
+
+    fn goal(&self) -> Option<GoalSpec> {
         // All that the arm reaches, 0.26 m around the remote centre, wherever its base stands.
         let positions = Aabb::new([-4.0, -4.0, -4.0], [4.0, 4.0, 4.0]);
-        let observation = self.arm.observation_elements();
-        let relative = relative::looking(&observation, &[], 3, &[0.05, 0.01, 0.003]);
-        TaskSpec {
-            id: Self::ID.into(),
-            summary: "Move the endoscope to a position.".into(),
-            max_steps: self.arm.rate().steps(MAX_STEPS),
-            seconds_per_step: self.arm.rate().seconds(),
-            action: self.arm.action_elements(),
-            observation,
-            goal: Some(GoalSpec {
-                elements: options::position_elements("camera", "world", &positions, Preset::Paper),
-                success: SuccessRule::Distance { tolerance: TOLERANCE },
-            }),
-            reward: self.reward,
-            options: Self::options(),
-            relative,
-            images: None,
-        }
+        Some(GoalSpec {
+            elements: options::position_elements("camera", "world", &positions, Preset::Paper),
+            success: SuccessRule::Distance { tolerance: TOLERANCE },
+        })
+    }
+
+    fn relative(&self, state: &[Element]) -> Relative {
+        relative::looking(state, &[], 3, &[0.05, 0.01, 0.003])
     }
 
     fn reset(&mut self, _: &mut World, rng: &mut Rng) {
@@ -197,14 +192,11 @@ impl Task for EcmReach {
         Some(&mut self.arm)
     }
 
-    fn observe(
-        &self,
-        _: &World,
-        observation: &mut [f32],
-        achieved: &mut [f32],
-        desired: &mut [f32],
-    ) {
-        self.arm.observe(observation);
+    fn state(&self, _: &World, state: &mut State<'_>) {
+        self.arm.state(state);
+    }
+
+    fn goals(&self, _: &World, achieved: &mut [f32], desired: &mut [f32]) {
         let camera = self.arm.world_from_camera().translation.vector;
         for axis in 0..3 {
             achieved[axis] = camera[axis] as f32;

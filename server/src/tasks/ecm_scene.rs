@@ -47,6 +47,7 @@ use std::borrow::Cow;
 use std::f64::consts::{FRAC_PI_2, PI};
 
 use nalgebra::{Point3, UnitQuaternion, Vector3, Vector6};
+use trocar_proto::builtin;
 use trocar_proto::spec::{Element, RowSpec};
 use trocar_proto::{Options, Rejection};
 
@@ -54,6 +55,7 @@ use super::camera;
 use super::expert::Sees;
 use super::options::{self, ActionMode, Domain, Preset};
 use super::rate::Rate;
+use super::state::State;
 use super::theatre;
 use crate::render::{Scene, Viewpoint};
 use crate::robots::{Ecm, Endoscope, JointLimit};
@@ -64,8 +66,8 @@ use crate::sim::random::Rng;
 #[expect(clippy::float_cmp, reason = "these results are exact")]
 mod tests;
 
-/// How often the tasks are commanded for which numbers below are those of a step, 10 Hz.
-pub const RATE: Rate = Rate::nominal(10.0);
+/// How often the tasks are commanded for which numbers below are those of a step.
+pub const RATE: Rate = Rate::nominal(builtin::ECM_HERTZ);
 
 /// Movement that 1.0 in an action stands for, m. Source: the original.
 pub const STEP_LENGTH: f64 = 0.01;
@@ -425,22 +427,12 @@ impl EcmArm {
         names.iter().map(|name| options::action_element(name, frame)).collect()
     }
 
-    /// The elements of [`Self::observe`].
-    pub fn observation_elements(&self) -> Vec<Element> {
+    /// Its part of a state: camera position (3) and extrinsic XYZ Euler angles (3) in the RCM frame, as sensed.
+    pub fn state(&self, state: &mut State<'_>) {
         // ECM scenes are not scaled under any preset.
-        let mut elements = options::position_elements("camera", "rcm", &POSITIONS, Preset::Paper);
-        elements.extend(options::euler_elements("camera", "rcm"));
-        elements
-    }
-
-    /// Writes what is observed of the arm: camera position (3) and extrinsic XYZ Euler angles (3)
-    /// in the RCM frame.
-    pub fn observe(&self, observation: &mut [f32]) {
-        let angles = self.angles(&self.rcm_from_camera.rotation);
-        let numbers = self.rcm_from_camera.translation.vector.iter().chain(&angles);
-        for (slot, number) in observation.iter_mut().zip(numbers) {
-            *slot = *number as f32;
-        }
+        let camera = &self.rcm_from_camera;
+        state.position("camera", "rcm", &POSITIONS, Preset::Paper, &camera.translation.vector);
+        state.angles("camera", "rcm", self.angles(&camera.rotation));
     }
 
     /// The elements of [`Self::measured_joints`].

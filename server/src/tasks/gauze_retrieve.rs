@@ -102,9 +102,10 @@
 //! - v0: first version.
 
 use nalgebra::Vector3;
-use trocar_proto::goal::Reward;
-use trocar_proto::spec::OptionSpec;
-use trocar_proto::{Options, Rejection, Stage, TaskSpec};
+use trocar_proto::builtin::{self, TaskInfo};
+use trocar_proto::relative::Relative;
+use trocar_proto::spec::{Element, GoalSpec, OptionSpec};
+use trocar_proto::{Options, Rejection, Stage};
 
 use super::expert::{ArmView, ExpertInput};
 use super::gauze::{self, Gauze};
@@ -112,11 +113,11 @@ use super::objects;
 use super::options::{self, Preset};
 use super::pad::Pad;
 use super::pick::Pick;
-use super::psm_scene::{self, MAX_STEPS, PaperAction, PsmArm, Station, Turn, WORKSPACE};
+use super::psm_scene::{self, PaperAction, PsmArm, Station, Turn, WORKSPACE};
 use super::relative::{Grasping, Grip};
 use super::start::{self, Start};
 use super::theatre;
-use super::{Arms, Task};
+use super::{Arms, Registered, State, Task};
 use crate::render::Scene;
 use crate::sim::frames::Pose;
 use crate::sim::grasp::Grasp;
@@ -154,12 +155,13 @@ pub struct GauzeRetrieve {
     start: Start,
     narrow: bool,
     preset: Preset,
-    reward: Reward,
     goal: Vector3<f64>,
 }
 
-impl Task for GauzeRetrieve {
-    const ID: &'static str = "GauzeRetrieve-v0";
+impl Registered for GauzeRetrieve {
+    const INFO: TaskInfo = builtin::GAUZE_RETRIEVE;
+    const CONSTANT_UNDER_PAPER: &'static [&'static str] =
+        &["wrist link roll", "wrist link pitch", "wrist link yaw"];
 
     fn options() -> Vec<OptionSpec> {
         let own = [options::spawn(), start::option()];
@@ -184,15 +186,22 @@ impl Task for GauzeRetrieve {
             start: Start::of(options),
             narrow: options.text("spawn") == Some("narrow"),
             preset,
-            reward: options::reward_of(options),
             goal: Vector3::zeros(),
         };
         Ok((task, world))
     }
+}
 
-    fn spec(&self) -> TaskSpec {
-        let mut observation = self.arm.observation_elements();
-        observation.extend(objects::observation_elements("gauze", "crest", self.preset));
+impl Task for GauzeRetrieve {
+    fn action(&self) -> Vec<Element> {
+        self.arm.action_elements()
+    }
+
+    fn goal(&self) -> Option<GoalSpec> {
+        Some(objects::goal_spec("gauze", self.preset))
+    }
+
+    fn relative(&self, _: &[Element]) -> Relative {
         let grasping = Grasping {
             arms: [&self.arm],
             object: "gauze",
@@ -201,19 +210,7 @@ impl Task for GauzeRetrieve {
             level: None,
             preset: self.preset,
         };
-        TaskSpec {
-            id: Self::ID.into(),
-            summary: "Pick up a gauze and bring its middle to a point.".into(),
-            max_steps: self.arm.rate().steps(MAX_STEPS),
-            seconds_per_step: self.arm.rate().seconds(),
-            action: self.arm.action_elements(),
-            observation,
-            goal: Some(objects::goal_spec("gauze", self.preset)),
-            reward: self.reward,
-            options: Self::options(),
-            relative: grasping.features(),
-            images: None,
-        }
+        grasping.features()
     }
 
     fn begins_prepared(&self) -> bool {
@@ -221,7 +218,7 @@ impl Task for GauzeRetrieve {
     }
 
     fn prepare(&mut self, world: &mut World, rng: &mut Rng) {
-        start::bring_about(self, world, rng, Self::begin, |task, world| {
+        start::bring_about(self, world, rng, self.arm.rate(), Self::begin, |task, world| {
             task.pick(world, &ExpertInput::default()).progress(&task.arm, world) >= task.start
         });
     }
@@ -258,19 +255,17 @@ impl Task for GauzeRetrieve {
         psm_scene::settle([&mut self.arm], world, &mut self.grasp, is_lifted);
     }
 
-    fn observe(
-        &self,
-        world: &World,
-        observation: &mut [f32],
-        achieved: &mut [f32],
-        desired: &mut [f32],
-    ) {
-        let (arm, object) = observation.split_at_mut(PsmArm::OBSERVED);
-        self.arm.observe(world, arm);
+    fn state(&self, world: &World, state: &mut State<'_>) {
+        self.arm.state(world, state);
         let gauze = world.pose(self.gauze.body());
-        let crest = gauze * Pose::from(self.gauze.crest());
-        objects::observe(&gauze, &crest, self.arm.scene_from_wrist(), self.preset, object);
-        objects::write_goal(&gauze.translation.vector, self.preset, achieved);
+        let crest = ("crest", &(gauze * Pose::from(self.gauze.crest())));
+        let wrist = self.arm.scene_from_wrist();
+        objects::state(("gauze", &gauze), crest, wrist, self.preset, state);
+    }
+
+    fn goals(&self, world: &World, achieved: &mut [f32], desired: &mut [f32]) {
+        let gauze = world.pose(self.gauze.body()).translation.vector;
+        objects::write_goal(&gauze, self.preset, achieved);
         objects::write_goal(&self.goal, self.preset, desired);
     }
 

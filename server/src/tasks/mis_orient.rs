@@ -85,21 +85,20 @@
 //! - v0: first version.
 
 use nalgebra::Vector3;
-use trocar_proto::goal::{Reward, SuccessRule};
-use trocar_proto::spec::{GoalSpec, OptionSpec};
-use trocar_proto::{Options, Rejection, TaskSpec};
+use trocar_proto::builtin::{self, TaskInfo};
+use trocar_proto::goal::SuccessRule;
+use trocar_proto::relative::Relative;
+use trocar_proto::spec::{Element, GoalSpec, OptionSpec};
+use trocar_proto::{Options, Rejection};
 
-use super::Task;
 use super::ecm_scene::{CAMERA_ANGLE, Control, EcmArm, RATE, STEP_ROLL, misorientation_element};
 use super::expert::{ExpertInput, Sees};
 use super::options;
 use super::relative;
+use super::{Registered, State, Task};
 use crate::render::Scene;
 use crate::sim::random::Rng;
 use crate::sim::world::{Solver, World};
-
-/// Steps of an episode.
-const MAX_STEPS: u32 = 50;
 
 /// Joints at the start, rad; index 2 in m: smallest and largest. Source: the original.
 const START: [[f64; 2]; 4] = [
@@ -118,11 +117,10 @@ const TOLERANCE: f32 = 0.01;
 #[derive(Debug, Clone)]
 pub struct MisOrient {
     arm: EcmArm,
-    reward: Reward,
 }
 
-impl Task for MisOrient {
-    const ID: &'static str = "MisOrient-v0";
+impl Registered for MisOrient {
+    const INFO: TaskInfo = builtin::MIS_ORIENT;
 
     fn options() -> Vec<OptionSpec> {
         vec![
@@ -145,30 +143,25 @@ impl Task for MisOrient {
             let why = "a straight arm must look at the ground in front of the nominal camera";
             return Err(options::refuse_setup(options, why));
         }
-        let task = Self { arm, reward: options::reward_of(options) };
+        let task = Self { arm };
         Ok((task, World::new(Solver::HEAVY)))
     }
+}
 
-    fn spec(&self) -> TaskSpec {
-        let mut observation = self.arm.observation_elements();
-        observation.extend(options::euler_elements("camera", "world"));
-        let relative = relative::looking(&observation, &[6], 1, &[0.5, 0.05, 0.01]);
-        TaskSpec {
-            id: Self::ID.into(),
-            summary: "Roll the endoscope until its picture is level.".into(),
-            max_steps: self.arm.rate().steps(MAX_STEPS),
-            seconds_per_step: self.arm.rate().seconds(),
-            action: self.arm.action_elements(),
-            observation,
-            goal: Some(GoalSpec {
-                elements: vec![misorientation_element()],
-                success: SuccessRule::Distance { tolerance: TOLERANCE },
-            }),
-            reward: self.reward,
-            options: Self::options(),
-            relative,
-            images: None,
-        }
+impl Task for MisOrient {
+    fn action(&self) -> Vec<Element> {
+        self.arm.action_elements()
+    }
+
+    fn goal(&self) -> Option<GoalSpec> {
+        Some(GoalSpec {
+            elements: vec![misorientation_element()],
+            success: SuccessRule::Distance { tolerance: TOLERANCE },
+        })
+    }
+
+    fn relative(&self, state: &[Element]) -> Relative {
+        relative::looking(state, &[6], 1, &[0.5, 0.05, 0.01])
     }
 
     fn reset(&mut self, _: &mut World, rng: &mut Rng) {
@@ -192,17 +185,12 @@ impl Task for MisOrient {
         Some(&mut self.arm)
     }
 
-    fn observe(
-        &self,
-        _: &World,
-        observation: &mut [f32],
-        achieved: &mut [f32],
-        desired: &mut [f32],
-    ) {
-        self.arm.observe(observation);
-        for (slot, angle) in observation[6..].iter_mut().zip(self.arm.angles_in_world()) {
-            *slot = angle as f32;
-        }
+    fn state(&self, _: &World, state: &mut State<'_>) {
+        self.arm.state(state);
+        state.angles("camera", "world", self.arm.angles_in_world());
+    }
+
+    fn goals(&self, _: &World, achieved: &mut [f32], desired: &mut [f32]) {
         achieved[0] = self.arm.misorientation() as f32;
         desired[0] = 0.0;
     }

@@ -13,17 +13,22 @@
 //! | [`static_track`] | the endoscope centres a cube among others |
 //! | [`active_track`] | the endoscope follows a moving cube |
 //!
-//! `assignment.rs` reads options that are texts. A task of one's own implements [`Task`] and is added by [`Registry::register`].
+//! `assignment.rs` reads options that are texts. A task of one's own implements [`Task`] and [`Registered`], and is added
+//! by [`Registry::register`].
 
 use arrayvec::ArrayVec;
 use nalgebra::Vector3;
-use trocar_proto::spec::OptionSpec;
+use trocar_proto::builtin::TaskInfo;
+use trocar_proto::goal::Reward;
+use trocar_proto::relative::Relative;
+use trocar_proto::spec::{Element, GoalSpec, OptionSpec};
 use trocar_proto::{Code, Options, Rejection, Stage, TaskSpec};
 
 use self::ecm_scene::EcmArm;
 use self::expert::ExpertInput;
 use self::proprioception::Proprioception;
 use self::psm_scene::PsmArm;
+use self::rate::Rate;
 use crate::env::{Env, Imaging};
 use crate::render::Scene;
 use crate::sim::frames::Aabb;
@@ -32,6 +37,8 @@ use crate::sim::random::Rng;
 use crate::sim::world::{BodyId, World};
 
 pub use assignment::Assignment;
+pub use state::State;
+pub use trocar_proto::builtin;
 
 pub mod active_track;
 mod assignment;
@@ -62,6 +69,7 @@ pub mod psm_scene;
 pub mod rate;
 pub(crate) mod relative;
 pub mod start;
+pub mod state;
 pub mod static_track;
 pub mod theatre;
 pub(crate) mod time;
@@ -71,12 +79,16 @@ pub mod tray;
 /// The instrument arms of a task.
 pub type Arms<'a> = ArrayVec<&'a mut PsmArm, MAX_INSTRUMENTS>;
 
-/// A task: what it looks like from outside, how an episode begins, what an action asks for, what is
-/// seen. Letting time pass, counting steps, the time limit, checking actions, goal rewards and randomisation that is
-/// the same for every task are [`Env`]'s.
-pub trait Task: Clone + Send + Sync + 'static {
-    /// Name with version, e.g. `NeedleReach-v0`.
-    const ID: &'static str;
+/// A task that can be made, so that a [`Registry`] may have it.
+pub trait Registered: Task + Clone + Sized {
+    /// What is fixed of it: name, summary, steps and rate, tags.
+    const INFO: TaskInfo;
+
+    /// Fields of the state that nothing changes, whatever actions are like. Tests look.
+    const CONSTANT: &'static [&'static str] = &[];
+
+    /// Those that nothing changes as long as actions are the paper's.
+    const CONSTANT_UNDER_PAPER: &'static [&'static str] = &[];
 
     /// The options that it knows.
     fn options() -> Vec<OptionSpec>;
@@ -84,9 +96,33 @@ pub trait Task: Clone + Send + Sync + 'static {
     /// The task and its prepared world under `options`, in which every option of
     /// [`Self::options`] has an allowed value.
     fn new(options: &Options) -> Result<(Self, World), Rejection>;
+}
 
-    /// What it looks like from outside; it never changes.
-    fn spec(&self) -> TaskSpec;
+/// A task: what it looks like from outside, how an episode begins, what an action asks for, what is
+/// seen. Letting time pass, counting steps, the time limit, checking actions, goal rewards and randomisation that is
+/// the same for every task are [`Env`]'s. What every specification repeats is the [`Registry`]'s.
+pub trait Task: CloneTask + Send + Sync + 'static {
+    /// The elements of an action; they never change.
+    fn action(&self) -> Vec<Element>;
+
+    /// What its goals are, if it has any; they never change.
+    fn goal(&self) -> Option<GoalSpec> {
+        None
+    }
+
+    /// What its state, of these elements, and its goals say of each other: the features, without their dimensions.
+    fn relative(&self, state: &[Element]) -> Relative {
+        let _ = state;
+        Relative::default()
+    }
+
+    /// Goes through the fields of the state; their descriptions never change.
+    fn state(&self, world: &World, state: &mut State<'_>);
+
+    /// Writes achieved and desired goal, of [`Self::goal`]'s dimensions.
+    fn goals(&self, world: &World, achieved: &mut [f32], desired: &mut [f32]) {
+        let _ = (world, achieved, desired);
+    }
 
     /// Whether episodes begin in states that need physics to come about, see [`Self::prepare`].
     fn begins_prepared(&self) -> bool {
@@ -142,15 +178,6 @@ pub trait Task: Clone + Send + Sync + 'static {
         let _ = part;
     }
 
-    /// Writes observation, achieved and desired goal, of the specification's dimensions.
-    fn observe(
-        &self,
-        world: &World,
-        observation: &mut [f32],
-        achieved: &mut [f32],
-        desired: &mut [f32],
-    );
-
     /// Writes what a scripted expert would do now, numbers in [−1, 1]. Where actions are late, `input` has those
     /// that arrive before this one.
     fn expert(&self, world: &World, input: &ExpertInput<'_>, action: &mut [f32]);
@@ -184,16 +211,36 @@ pub trait Task: Clone + Send + Sync + 'static {
     }
 }
 
+/// Clones a task behind a pointer; every task that is [`Clone`] has this.
+pub trait CloneTask {
+    /// A copy.
+    fn boxed_clone(&self) -> Box<dyn Task>;
+}
+
+impl<T: Task + Clone> CloneTask for T {
+    fn boxed_clone(&self) -> Box<dyn Task> {
+        Box::new(self.clone())
+    }
+}
+
+impl Clone for Box<dyn Task> {
+    fn clone(&self) -> Self {
+        self.as_ref().boxed_clone()
+    }
+}
+
 /// The tasks that can be made, by id.
 pub struct Registry(Vec<Entry>);
 
-/// A task with its prepared world.
-type Made = (Box<dyn AnyTask>, World);
+/// A task in its prepared world.
+type InWorld = (Box<dyn Task>, World);
 
 struct Entry {
-    id: &'static str,
+    info: TaskInfo,
+    constant: &'static [&'static str],
+    constant_under_paper: &'static [&'static str],
     options: fn() -> Vec<OptionSpec>,
-    make: fn(&Options) -> Result<Made, Rejection>,
+    make: fn(&Options) -> Result<InWorld, Rejection>,
 }
 
 impl Registry {
@@ -219,10 +266,12 @@ impl Registry {
     }
 
     /// Adds a task, in place of one that has its id.
-    pub fn register<T: Task>(&mut self) {
-        self.0.retain(|entry| entry.id != T::ID);
+    pub fn register<T: Registered>(&mut self) {
+        self.0.retain(|entry| entry.info.id != T::INFO.id);
         self.0.push(Entry {
-            id: T::ID,
+            info: T::INFO,
+            constant: T::CONSTANT,
+            constant_under_paper: T::CONSTANT_UNDER_PAPER,
             options: T::options,
             make: |options| T::new(options).map(|(task, world)| (Box::new(task) as _, world)),
         });
@@ -230,7 +279,21 @@ impl Registry {
 
     /// The ids in order of registration.
     pub fn ids(&self) -> impl Iterator<Item = &str> {
-        self.0.iter().map(|entry| entry.id)
+        self.0.iter().map(|entry| entry.info.id)
+    }
+
+    /// The ids of the tasks that have a tag.
+    pub fn tagged<'a>(&'a self, tag: &'a str) -> impl Iterator<Item = &'a str> {
+        self.0.iter().filter(move |entry| entry.info.has(tag)).map(|entry| entry.info.id)
+    }
+
+    /// Whether nothing changes a field of a task's state, where actions are the paper's or not.
+    pub fn is_constant(&self, id: &str, field: &str, under_paper: bool) -> bool {
+        let entry = self.0.iter().find(|entry| entry.info.id == id);
+        entry.is_some_and(|entry| {
+            entry.constant.contains(&field)
+                || under_paper && entry.constant_under_paper.contains(&field)
+        })
     }
 
     /// The task `id` under `options`.
@@ -244,19 +307,19 @@ impl Registry {
         id: &str,
         options: &Options,
     ) -> Result<(TaskSpec, u64), Rejection> {
-        let (mut task, world, resolved) = self.build(id, options)?;
-        let imaging = Imaging::of(&resolved, || first_scene(task.as_ref(), &world))?;
-        let spec = spec_of(task.as_mut(), options, &resolved, imaging.as_ref());
-        Ok((spec, Env::memory_bytes_with(&world)))
+        let mut made = self.build(id, options)?;
+        let imaging = Imaging::of(&made.options, || made.first_scene())?;
+        Ok((made.spec(options, imaging.as_ref()), Env::memory_bytes_with(&made.world)))
     }
 
     /// An environment of the task `id` under `options`; it needs a reset.
     pub fn make(&self, id: &str, options: &Options) -> Result<Env, Rejection> {
-        let (mut task, world, resolved) = self.build(id, options)?;
-        let domain = options::Domain::of(&resolved)?;
-        let imaging = Imaging::of(&resolved, || first_scene(task.as_ref(), &world))?;
-        let spec = spec_of(task.as_mut(), options, &resolved, imaging.as_ref());
-        Ok(Env::new(spec, task, world, domain, resolved, imaging))
+        let mut made = self.build(id, options)?;
+        let domain = options::Domain::of(&made.options)?;
+        let imaging = Imaging::of(&made.options, || made.first_scene())?;
+        let spec = made.spec(options, imaging.as_ref());
+        let Made { task, world, options, state, .. } = made;
+        Ok(Env::new(spec, state, task, world, domain, options, imaging))
     }
 
     /// How environments of the task `id` under `options` are drawn when that is asked for. `view` may have
@@ -267,23 +330,19 @@ impl Registry {
         options: &Options,
         view: &Options,
     ) -> Result<Imaging, Rejection> {
-        let (task, world, _) = self.build(id, options)?;
+        let made = self.build(id, options)?;
         let of_view = |refusal: Rejection| match refusal.field.strip_prefix("options.") {
             Some(name) => Rejection { field: format!("view.{name}"), ..refusal },
             None => refusal,
         };
         let resolved = view.resolve(&options::of_views()).map_err(of_view)?;
-        let imaging = Imaging::of(&resolved, || first_scene(task.as_ref(), &world));
+        let imaging = Imaging::of(&resolved, || made.first_scene());
         let imaging = imaging.map_err(of_view)?;
         Ok(imaging.expect("views have colour and depth").fine())
     }
 
-    fn build(
-        &self,
-        id: &str,
-        options: &Options,
-    ) -> Result<(Box<dyn AnyTask>, World, Options), Rejection> {
-        let Some(entry) = self.0.iter().find(|entry| entry.id == id) else {
+    fn build(&self, id: &str, options: &Options) -> Result<Made, Rejection> {
+        let Some(entry) = self.0.iter().find(|entry| entry.info.id == id) else {
             let ids: Vec<_> = self.ids().collect();
             let allowed = format!("unknown task; this server knows {ids:?}");
             return Err(Rejection::new(Code::UnknownTask, "task", format!("{id:?}"), allowed));
@@ -292,172 +351,73 @@ impl Registry {
         let allowed = options::under_preset(known, options);
         let options = options.resolve(&allowed)?;
         let (task, world) = (entry.make)(&options)?;
-        if relative::is_wanted(&options) && task.spec().relative.features.is_empty() {
+        let state = State::elements(|state| task.state(&world, state));
+        let relative = task.relative(&state);
+        if relative::is_wanted(&options) && relative.features.is_empty() {
             let allowed = "this task has no relative features";
             let word = format!("{:?}", relative::WORD);
             return Err(Rejection::new(Code::InvalidOption, "options.observation", word, allowed));
         }
-        Ok((task, world, options))
+        let known = (entry.options)();
+        Ok(Made { info: entry.info, known, options, task, world, state, relative })
     }
 }
 
-/// What a task looks like under `resolved`, to which `options` were completed; the defaults of its options are
-/// those of the preset.
-fn spec_of(
-    task: &mut dyn AnyTask,
-    options: &Options,
-    resolved: &Options,
-    imaging: Option<&Imaging>,
-) -> TaskSpec {
-    let mut spec = task.spec();
-    spec.relative = relative::of(&spec);
-    if options::observes_numbers(resolved) && !options::observes_state(resolved) {
-        spec.observation.clear();
-    }
-    spec.observation.extend(Proprioception::of(resolved).elements(task));
-    if relative::is_wanted(resolved) {
-        spec.observation.extend(spec.relative.elements());
-    }
-    let known = options::with_common(spec.options);
-    TaskSpec {
-        options: options::under_preset(known, options),
-        images: imaging.map(|imaging| imaging.spec().clone()),
-        ..spec
-    }
+/// A task that was made under some options, in its prepared world.
+struct Made {
+    info: TaskInfo,
+    /// The options that it knows, besides those of every task.
+    known: Vec<OptionSpec>,
+    /// All of its options.
+    options: Options,
+    task: Box<dyn Task>,
+    world: World,
+    /// The elements of its state.
+    state: Vec<Element>,
+    relative: Relative,
 }
 
-/// What there is to see in some episode: all bodies that there will ever be.
-fn first_scene(task: &dyn AnyTask, world: &World) -> Scene {
-    let (mut task, mut world) = (task.boxed_clone(), world.clone());
-    if !task.begins_prepared() {
-        task.reset(&mut world, &mut Rng::new(0, 0));
-    }
-    let mut scene = Scene::default();
-    task.scene(&world, &mut scene);
-    scene.add_others(&world);
-    scene
-}
-
-/// [`Task`] behind a pointer.
-pub(crate) trait AnyTask: Send + Sync {
-    fn spec(&self) -> TaskSpec;
-    fn begins_prepared(&self) -> bool;
-    fn prepare(&mut self, world: &mut World, rng: &mut Rng);
-    fn reset(&mut self, world: &mut World, rng: &mut Rng);
-    fn objects(&self) -> Vec<(&'static str, BodyId)>;
-    fn objects_placed(&mut self, world: &World);
-    fn set_goal(&mut self, goal: &Vector3<f64>) -> Result<(), Rejection>;
-    fn command(&mut self, world: &mut World, action: Option<&[f32]>);
-    fn arms(&mut self) -> Arms<'_>;
-    fn endoscope(&mut self) -> Option<&mut EcmArm>;
-    fn after_step(&mut self, world: &mut World);
-    fn between(&mut self, part: f64);
-    fn observe(
-        &self,
-        world: &World,
-        observation: &mut [f32],
-        achieved: &mut [f32],
-        desired: &mut [f32],
-    );
-    fn expert(&self, world: &World, input: &ExpertInput<'_>, action: &mut [f32]);
-    fn stage(&self, world: &World, input: &ExpertInput<'_>) -> Stage;
-    fn scene(&self, world: &World, scene: &mut Scene);
-    fn theatre(&self) -> Aabb;
-    fn reward(&self, world: &World) -> f32;
-    fn terminated(&self, world: &World) -> bool;
-    fn boxed_clone(&self) -> Box<dyn AnyTask>;
-}
-
-impl<T: Task> AnyTask for T {
-    fn spec(&self) -> TaskSpec {
-        Task::spec(self)
+impl Made {
+    /// What it looks like; `given` are the options that were completed: defaults are those of its preset.
+    fn spec(&mut self, given: &Options, imaging: Option<&Imaging>) -> TaskSpec {
+        let goal = self.task.goal();
+        let goal_dim = goal.as_ref().map_or(0, |goal| goal.elements.len());
+        let dims = [self.state.len(), goal_dim];
+        let relative = Relative { dims, ..self.relative.clone() };
+        let mut observation = self.state.clone();
+        if options::observes_numbers(&self.options) && !options::observes_state(&self.options) {
+            observation.clear();
+        }
+        observation.extend(Proprioception::of(&self.options).elements(self.task.as_mut()));
+        if relative::is_wanted(&self.options) {
+            observation.extend(relative.elements());
+        }
+        let rate = Rate::nominal(self.info.hertz).of(&self.options);
+        let known = options::with_common(self.known.clone());
+        TaskSpec {
+            id: self.info.id.into(),
+            summary: self.info.summary.into(),
+            max_steps: rate.steps(self.info.steps),
+            seconds_per_step: rate.seconds(),
+            action: self.task.action(),
+            observation,
+            reward: if goal.is_some() { options::reward_of(&self.options) } else { Reward::State },
+            goal,
+            relative,
+            options: options::under_preset(known, given),
+            images: imaging.map(|imaging| imaging.spec().clone()),
+        }
     }
 
-    fn begins_prepared(&self) -> bool {
-        Task::begins_prepared(self)
-    }
-
-    fn prepare(&mut self, world: &mut World, rng: &mut Rng) {
-        Task::prepare(self, world, rng);
-    }
-
-    fn reset(&mut self, world: &mut World, rng: &mut Rng) {
-        Task::reset(self, world, rng);
-    }
-
-    fn objects(&self) -> Vec<(&'static str, BodyId)> {
-        Task::objects(self)
-    }
-
-    fn objects_placed(&mut self, world: &World) {
-        Task::objects_placed(self, world);
-    }
-
-    fn set_goal(&mut self, goal: &Vector3<f64>) -> Result<(), Rejection> {
-        Task::set_goal(self, goal)
-    }
-
-    fn command(&mut self, world: &mut World, action: Option<&[f32]>) {
-        Task::command(self, world, action);
-    }
-
-    fn arms(&mut self) -> Arms<'_> {
-        Task::arms(self)
-    }
-
-    fn endoscope(&mut self) -> Option<&mut EcmArm> {
-        Task::endoscope(self)
-    }
-
-    fn after_step(&mut self, world: &mut World) {
-        Task::after_step(self, world);
-    }
-
-    fn between(&mut self, part: f64) {
-        Task::between(self, part);
-    }
-
-    fn observe(
-        &self,
-        world: &World,
-        observation: &mut [f32],
-        achieved: &mut [f32],
-        desired: &mut [f32],
-    ) {
-        Task::observe(self, world, observation, achieved, desired);
-    }
-
-    fn expert(&self, world: &World, input: &ExpertInput<'_>, action: &mut [f32]) {
-        Task::expert(self, world, input, action);
-    }
-
-    fn stage(&self, world: &World, input: &ExpertInput<'_>) -> Stage {
-        Task::stage(self, world, input)
-    }
-
-    fn scene(&self, world: &World, scene: &mut Scene) {
-        Task::scene(self, world, scene);
-    }
-
-    fn theatre(&self) -> Aabb {
-        Task::theatre(self)
-    }
-
-    fn reward(&self, world: &World) -> f32 {
-        Task::reward(self, world)
-    }
-
-    fn terminated(&self, world: &World) -> bool {
-        Task::terminated(self, world)
-    }
-
-    fn boxed_clone(&self) -> Box<dyn AnyTask> {
-        Box::new(self.clone())
-    }
-}
-
-impl Clone for Box<dyn AnyTask> {
-    fn clone(&self) -> Self {
-        self.as_ref().boxed_clone()
+    /// What there is to see in some episode: all bodies that there will ever be.
+    fn first_scene(&self) -> Scene {
+        let (mut task, mut world) = (self.task.clone(), self.world.clone());
+        if !task.begins_prepared() {
+            task.reset(&mut world, &mut Rng::new(0, 0));
+        }
+        let mut scene = Scene::default();
+        task.scene(&world, &mut scene);
+        scene.add_others(&world);
+        scene
     }
 }

@@ -100,21 +100,22 @@
 //! - v0: first version.
 
 use nalgebra::Vector3;
-use trocar_proto::goal::Reward;
-use trocar_proto::spec::OptionSpec;
-use trocar_proto::{Options, Rejection, Stage, TaskSpec};
+use trocar_proto::builtin::{self, TaskInfo};
+use trocar_proto::relative::Relative;
+use trocar_proto::spec::{Element, GoalSpec, OptionSpec};
+use trocar_proto::{Options, Rejection, Stage};
 
 use super::expert::{ArmView, ExpertInput};
 use super::objects;
 use super::options::{self, Preset};
 use super::pad::Pad;
 use super::pick::{self, Pick};
-use super::psm_scene::{self, MAX_STEPS, PaperAction, PsmArm, Station, Turn, WORKSPACE};
+use super::psm_scene::{self, PaperAction, PsmArm, Station, Turn, WORKSPACE};
 use super::relative::{Grasping, Grip};
 use super::start::{self, Start};
 use super::theatre;
 use super::tray::{self, Needle};
-use super::{Arms, Task};
+use super::{Arms, Registered, State, Task};
 use crate::render::Scene;
 use crate::sim::frames::Pose;
 use crate::sim::grasp::Grasp;
@@ -153,12 +154,12 @@ pub struct NeedlePick {
     start: Start,
     narrow: bool,
     preset: Preset,
-    reward: Reward,
     goal: Vector3<f64>,
 }
 
-impl Task for NeedlePick {
-    const ID: &'static str = "NeedlePick-v0";
+impl Registered for NeedlePick {
+    const INFO: TaskInfo = builtin::NEEDLE_PICK;
+    const CONSTANT_UNDER_PAPER: &'static [&'static str] = &["wrist link roll", "wrist link pitch"];
 
     fn options() -> Vec<OptionSpec> {
         let own = [options::spawn(), start::option()];
@@ -182,15 +183,22 @@ impl Task for NeedlePick {
             start: Start::of(options),
             narrow: options.text("spawn") == Some("narrow"),
             preset,
-            reward: options::reward_of(options),
             goal: Vector3::zeros(),
         };
         Ok((task, world))
     }
+}
 
-    fn spec(&self) -> TaskSpec {
-        let mut observation = self.arm.observation_elements();
-        observation.extend(objects::observation_elements("needle", "mid arc", self.preset));
+impl Task for NeedlePick {
+    fn action(&self) -> Vec<Element> {
+        self.arm.action_elements()
+    }
+
+    fn goal(&self) -> Option<GoalSpec> {
+        Some(objects::goal_spec("mid arc", self.preset))
+    }
+
+    fn relative(&self, _: &[Element]) -> Relative {
         let grasping = Grasping {
             arms: [&self.arm],
             object: "needle",
@@ -199,19 +207,7 @@ impl Task for NeedlePick {
             level: None,
             preset: self.preset,
         };
-        TaskSpec {
-            id: Self::ID.into(),
-            summary: "Pick up a needle and bring the middle of its arc to a point.".into(),
-            max_steps: self.arm.rate().steps(MAX_STEPS),
-            seconds_per_step: self.arm.rate().seconds(),
-            action: self.arm.action_elements(),
-            observation,
-            goal: Some(objects::goal_spec("mid arc", self.preset)),
-            reward: self.reward,
-            options: Self::options(),
-            relative: grasping.features(),
-            images: None,
-        }
+        grasping.features()
     }
 
     fn begins_prepared(&self) -> bool {
@@ -219,7 +215,7 @@ impl Task for NeedlePick {
     }
 
     fn prepare(&mut self, world: &mut World, rng: &mut Rng) {
-        start::bring_about(self, world, rng, Self::begin, |task, world| {
+        start::bring_about(self, world, rng, self.arm.rate(), Self::begin, |task, world| {
             let wrist = task.arm.scene_from_wrist();
             task.pick(world, wrist, &ExpertInput::default()).progress(&task.arm, world)
                 >= task.start
@@ -258,19 +254,16 @@ impl Task for NeedlePick {
         psm_scene::settle([&mut self.arm], world, &mut self.grasp, is_lifted);
     }
 
-    fn observe(
-        &self,
-        world: &World,
-        observation: &mut [f32],
-        achieved: &mut [f32],
-        desired: &mut [f32],
-    ) {
-        let (arm, object) = observation.split_at_mut(PsmArm::OBSERVED);
-        self.arm.observe(world, arm);
-        let needle = world.pose(self.needle.body());
-        let middle = self.needle.scene_from_middle(world);
-        objects::observe(&needle, &middle, self.arm.scene_from_wrist(), self.preset, object);
-        objects::write_goal(&middle.translation.vector, self.preset, achieved);
+    fn state(&self, world: &World, state: &mut State<'_>) {
+        self.arm.state(world, state);
+        let needle = ("needle", &world.pose(self.needle.body()));
+        let middle = ("mid arc", &self.needle.scene_from_middle(world));
+        objects::state(needle, middle, self.arm.scene_from_wrist(), self.preset, state);
+    }
+
+    fn goals(&self, world: &World, achieved: &mut [f32], desired: &mut [f32]) {
+        let middle = self.needle.scene_from_middle(world).translation.vector;
+        objects::write_goal(&middle, self.preset, achieved);
         objects::write_goal(&self.goal, self.preset, desired);
     }
 
@@ -333,15 +326,15 @@ impl NeedlePick {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::tasks::{rate, time};
+    use crate::tasks::time;
 
     /// Lets the expert work for `steps` steps on what it is told.
     fn work(task: &mut NeedlePick, world: &mut World, input: &ExpertInput<'_>, steps: u32) {
-        let spec = Task::spec(task);
-        let mut action = vec![0.0; spec.action_dim()];
+        let mut action = vec![0.0; task.action().len()];
         for _ in 0..steps {
             Task::expert(task, world, input, &mut action);
-            time::step(task, world, Some(&action), rate::substeps(spec.seconds_per_step));
+            let substeps = task.arm.rate().substeps();
+            time::step(task, world, Some(&action), substeps);
         }
     }
 
@@ -364,7 +357,7 @@ mod tests {
                 ExpertInput { position_error: Vector3::z() * off, ..ExpertInput::default() };
             for seed in 0..4 {
                 let (mut task, mut world) = episode(seed);
-                work(&mut task, &mut world, &input, MAX_STEPS);
+                work(&mut task, &mut world, &input, NeedlePick::INFO.steps);
                 assert!(is_there(&task, &world), "{seed}, {off} m too high");
             }
         }
@@ -379,7 +372,7 @@ mod tests {
             while taken == 0 || !task.arm.holds(&world, task.needle.body()) {
                 work(&mut task, &mut world, &input, 1);
                 taken += 1;
-                assert!(taken < MAX_STEPS);
+                assert!(taken < NeedlePick::INFO.steps);
             }
             // Out of the jaws, and a little farther.
             let lying = world.pose(task.needle.body());
@@ -389,7 +382,7 @@ mod tests {
                     .norm()
                     > 1e-3
             );
-            work(&mut task, &mut world, &input, MAX_STEPS - 10);
+            work(&mut task, &mut world, &input, NeedlePick::INFO.steps - 10);
             assert!(is_there(&task, &world), "{seed}");
         }
     }

@@ -83,19 +83,20 @@
 //! - v0: first version.
 
 use nalgebra::Vector3;
+use trocar_proto::builtin::{self, TaskInfo};
 use trocar_proto::goal::SuccessRule;
-use trocar_proto::spec::{GoalSpec, OptionSpec};
-use trocar_proto::{Options, Rejection, TaskSpec};
+use trocar_proto::relative::Relative;
+use trocar_proto::spec::{Element, GoalSpec, OptionSpec};
+use trocar_proto::{Options, Rejection};
 
 use super::expert::{ArmView, ExpertInput, Sees};
+use super::objects;
 use super::options::{self, Preset};
-use super::psm_scene::{
-    MAX_STEPS, PaperAction, PsmArm, RATE, REACH, STEP_LENGTH, Station, Turn, WORKSPACE,
-};
+use super::psm_scene::{PaperAction, PsmArm, RATE, REACH, STEP_LENGTH, Station, Turn, WORKSPACE};
 use super::relative;
 use super::theatre;
 use super::tray::{self, Needle};
-use super::{Arms, Task};
+use super::{Arms, Registered, State, Task};
 use crate::render::Scene;
 use crate::sim::frames::Pose;
 use crate::sim::instrument::{JAW_CLOSED, TIP_OFFSET};
@@ -120,12 +121,14 @@ pub struct NeedleReach {
     needle: Needle,
     narrow: bool,
     preset: Preset,
-    reward: trocar_proto::goal::Reward,
     goal: Vector3<f64>,
 }
 
-impl Task for NeedleReach {
-    const ID: &'static str = "NeedleReach-v0";
+impl Registered for NeedleReach {
+    const INFO: TaskInfo = builtin::NEEDLE_REACH;
+    const CONSTANT: &'static [&'static str] = &["jaw"];
+    const CONSTANT_UNDER_PAPER: &'static [&'static str] =
+        &["wrist link roll", "wrist link pitch", "wrist link yaw"];
 
     fn options() -> Vec<OptionSpec> {
         vec![
@@ -158,32 +161,29 @@ impl Task for NeedleReach {
             needle,
             narrow: options.text("spawn") == Some("narrow"),
             preset,
-            reward: options::reward_of(options),
             goal: Vector3::zeros(),
         };
         Ok((task, world))
     }
+}
 
-    fn spec(&self) -> TaskSpec {
+impl Task for NeedleReach {
+    fn action(&self) -> Vec<Element> {
+        self.arm.action_elements()
+    }
+
+    fn goal(&self) -> Option<GoalSpec> {
         // The tip of jaws in any direction from a wrist within its reach.
         let tip = REACH.grown(TIP_OFFSET + 1e-3);
         let tolerance = TOLERANCE * options::position_scale(self.preset);
-        TaskSpec {
-            id: Self::ID.into(),
-            summary: "Move the closed jaw tip to a point just above a needle.".into(),
-            max_steps: self.arm.rate().steps(MAX_STEPS),
-            seconds_per_step: self.arm.rate().seconds(),
-            action: self.arm.action_elements(),
-            observation: self.arm.observation_elements(),
-            goal: Some(GoalSpec {
-                elements: options::position_elements("tip", "scene", &tip, self.preset),
-                success: SuccessRule::Distance { tolerance: tolerance as f32 },
-            }),
-            reward: self.reward,
-            options: Self::options(),
-            relative: relative::reaching(&self.arm, self.preset),
-            images: None,
-        }
+        Some(GoalSpec {
+            elements: options::position_elements("tip", "scene", &tip, self.preset),
+            success: SuccessRule::Distance { tolerance: tolerance as f32 },
+        })
+    }
+
+    fn relative(&self, _: &[Element]) -> Relative {
+        relative::reaching(&self.arm, self.preset)
     }
 
     fn reset(&mut self, world: &mut World, rng: &mut Rng) {
@@ -219,20 +219,13 @@ impl Task for NeedleReach {
         [&mut self.arm].into_iter().collect()
     }
 
-    fn observe(
-        &self,
-        world: &World,
-        observation: &mut [f32],
-        achieved: &mut [f32],
-        desired: &mut [f32],
-    ) {
-        self.arm.observe(world, observation);
-        let scale = options::position_scale(self.preset);
-        let tip = self.arm.tip();
-        for axis in 0..3 {
-            achieved[axis] = (tip[axis] * scale) as f32;
-            desired[axis] = (self.goal[axis] * scale) as f32;
-        }
+    fn state(&self, world: &World, state: &mut State<'_>) {
+        self.arm.state(world, state);
+    }
+
+    fn goals(&self, _: &World, achieved: &mut [f32], desired: &mut [f32]) {
+        objects::write_goal(&self.arm.tip(), self.preset, achieved);
+        objects::write_goal(&self.goal, self.preset, desired);
     }
 
     fn scene(&self, world: &World, scene: &mut Scene) {
@@ -298,7 +291,7 @@ mod tests {
         let options = options.resolve(&NeedleReach::options()).unwrap();
         let (mut task, prepared) = NeedleReach::new(&options).unwrap();
         let mut actions = Rng::new(17, 0);
-        let mut action = vec![0.0; task.spec().action_dim()];
+        let mut action = vec![0.0; task.action().len()];
         let (mut lowest, mut fastest, mut touched) = (f64::INFINITY, 0.0_f64, 0);
         for episode in 0..200 {
             let mut world = prepared.clone();

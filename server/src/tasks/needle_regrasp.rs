@@ -112,20 +112,21 @@
 use std::f64::consts::PI;
 
 use nalgebra::{UnitQuaternion, Vector3};
-use trocar_proto::goal::Reward;
-use trocar_proto::spec::OptionSpec;
-use trocar_proto::{Options, Rejection, Stage, TaskSpec};
+use trocar_proto::builtin::{self, TaskInfo};
+use trocar_proto::relative::Relative;
+use trocar_proto::spec::{Element, GoalSpec, OptionSpec};
+use trocar_proto::{Options, Rejection, Stage};
 
 use super::bimanual::{self, HandOver, Phase, Waypoint};
 use super::expert::{ArmView, ExpertInput};
 use super::options::{self, Preset};
 use super::psm_scene::{
-    self, MAX_STEPS, PITCH_LIMIT, PaperAction, PsmArm, Station, Turn, pitch_across, pitched,
+    self, PITCH_LIMIT, PaperAction, PsmArm, Station, Turn, pitch_across, pitched,
 };
 use super::relative::{Grasping, Grip};
 use super::theatre;
 use super::tray::{self, Needle};
-use super::{Arms, Task, time};
+use super::{Arms, Registered, State, Task, time};
 use super::{goal, objects};
 use crate::render::Scene;
 use crate::sim::frames::{self, Aabb, Pose};
@@ -146,6 +147,9 @@ const START_PITCH: f64 = -PITCH_LIMIT;
 /// The frames of the needle that are observed and grasped: first that of PSM2, near the point, then
 /// that of PSM1, near the swage. Source: the original (its links 4 and 5).
 const PLACES: [&str; 2] = ["point_60", "swage_60"];
+
+/// What the state calls them.
+const PLACE_NAMES: [&str; 2] = ["needle near its point", "needle near its swage"];
 
 /// How far the tip reaches beyond the middle of the wire, m. Source: the original.
 const GRASP_DEPTH: f64 = 1.5e-3;
@@ -194,12 +198,13 @@ pub struct NeedleRegrasp {
     /// For how long, s, both arms have held the needle.
     together: f64,
     preset: Preset,
-    reward: Reward,
     goal: Vector3<f64>,
 }
 
-impl Task for NeedleRegrasp {
-    const ID: &'static str = "NeedleRegrasp-v0";
+impl Registered for NeedleRegrasp {
+    const INFO: TaskInfo = builtin::NEEDLE_REGRASP;
+    const CONSTANT_UNDER_PAPER: &'static [&'static str] =
+        &["PSM1 wrist link roll", "PSM1 wrist link yaw"];
 
     fn options() -> Vec<OptionSpec> {
         objects::options(2, Needle::SIZE, [], [])
@@ -227,36 +232,31 @@ impl Task for NeedleRegrasp {
             by_nearness: matches!(mode, GraspMode::Approx { .. }),
             together: 0.0,
             preset,
-            reward: options::reward_of(options),
             goal: Vector3::zeros(),
         };
         Ok((task, world))
     }
+}
 
-    fn spec(&self) -> TaskSpec {
-        let [one, two] = &self.arms;
-        let places = ["needle near its point", "needle near its swage"];
+impl Task for NeedleRegrasp {
+    fn action(&self) -> Vec<Element> {
+        bimanual::action_elements(self.arms.each_ref())
+    }
+
+    fn goal(&self) -> Option<GoalSpec> {
+        Some(objects::goal_spec(PLACE_NAMES[0], self.preset))
+    }
+
+    fn relative(&self, _: &[Element]) -> Relative {
         let grasping = Grasping {
-            arms: [one, two],
+            arms: self.arms.each_ref(),
             object: "needle",
-            places,
-            grips: [vec![Grip::at(1, places[1])], vec![Grip::at(0, places[0])]],
+            places: PLACE_NAMES,
+            grips: [vec![Grip::at(1, PLACE_NAMES[1])], vec![Grip::at(0, PLACE_NAMES[0])]],
             level: None,
             preset: self.preset,
         };
-        TaskSpec {
-            id: Self::ID.into(),
-            summary: "Hand a needle from one arm to the other, which brings it to a point.".into(),
-            max_steps: one.rate().steps(MAX_STEPS),
-            seconds_per_step: one.rate().seconds(),
-            action: bimanual::action_elements([one, two]),
-            observation: bimanual::observation_elements([one, two], "needle", places, self.preset),
-            goal: Some(objects::goal_spec(places[0], self.preset)),
-            reward: self.reward,
-            options: Self::options(),
-            relative: grasping.features(),
-            images: None,
-        }
+        grasping.features()
     }
 
     fn begins_prepared(&self) -> bool {
@@ -272,7 +272,10 @@ impl Task for NeedleRegrasp {
                 return;
             }
         }
-        tracing::warn!(task = Self::ID, "the needle does not stay in PSM1's hand at the start");
+        tracing::warn!(
+            task = Self::INFO.id,
+            "the needle does not stay in PSM1's hand at the start"
+        );
     }
 
     fn reset(&mut self, _: &mut World, rng: &mut Rng) {
@@ -301,18 +304,15 @@ impl Task for NeedleRegrasp {
         self.together = bimanual::holding_together(arms, world, needle, self.together);
     }
 
-    fn observe(
-        &self,
-        world: &World,
-        observation: &mut [f32],
-        achieved: &mut [f32],
-        desired: &mut [f32],
-    ) {
-        let [one, two] = &self.arms;
-        let needle = world.pose(self.needle.body());
-        let places = self.places(world);
-        bimanual::observe([one, two], world, &needle, &places, self.preset, observation);
-        objects::write_goal(&places[0].translation.vector, self.preset, achieved);
+    fn state(&self, world: &World, state: &mut State<'_>) {
+        let needle = ("needle", &world.pose(self.needle.body()));
+        let [point, swage] = &self.places(world);
+        let places = [(PLACE_NAMES[0], point), (PLACE_NAMES[1], swage)];
+        bimanual::state(self.arms.each_ref(), needle, places, self.preset, world, state);
+    }
+
+    fn goals(&self, world: &World, achieved: &mut [f32], desired: &mut [f32]) {
+        objects::write_goal(&self.places(world)[0].translation.vector, self.preset, achieved);
         objects::write_goal(&self.goal, self.preset, desired);
     }
 
@@ -386,7 +386,7 @@ impl NeedleRegrasp {
 
     /// Both arms stay for `steps` with their jaws closed.
     fn close(&mut self, world: &mut World, steps: u32) {
-        let mut action = vec![0.0; Task::spec(self).action_dim()];
+        let mut action = vec![0.0; self.action().len()];
         let rate = self.arms[0].rate();
         for _ in 0..rate.steps(steps) {
             let views = ArmView::of(self.arms.each_ref(), world, &ExpertInput::default());
@@ -508,7 +508,7 @@ mod tests {
         let (mut alone, episodes) = (0, count(16, 500));
         for index in 0..episodes {
             let (mut task, mut world) = prepared(&Options::new(), index);
-            for _ in 0..MAX_STEPS {
+            for _ in 0..NeedleRegrasp::INFO.steps {
                 act_as_expert(&mut task, &mut world);
             }
             let off = task.places(&world)[0].translation.vector - task.goal;

@@ -7,14 +7,12 @@ use trocar_proto::spec::{Element, GoalSpec, OptionSpec, RowSpec};
 use super::expert::Sees;
 use super::options::{self, Preset, Variation};
 use super::psm_scene::{PsmArm, RATE, REACH, WORKSPACE};
+use super::state::State;
 use crate::assets::{Model, Scaled};
 use crate::render::Scene;
 use crate::sim::frames::{self, Aabb, Pose};
 use crate::sim::random::Rng;
 use crate::sim::world::{BodyId, World};
-
-/// Number of values that [`observe`] writes.
-pub const OBSERVED: usize = 12;
 
 /// Where objects are reported, m: the space over the table. One that falls from it is reported at
 /// its edge.
@@ -97,29 +95,39 @@ pub fn position_elements(name: &str, bounds: &Aabb, preset: Preset) -> Vec<Eleme
     elements.into_iter().map(Element::saturating).collect()
 }
 
-/// The elements of [`observe`] for the object `object` and its place to grasp `place`.
-pub fn observation_elements(object: &str, place: &str, preset: Preset) -> Vec<Element> {
-    let relative = Aabb { min: THEATRE.min - REACH.max, max: THEATRE.max - REACH.min };
-    let mut elements = position_elements(object, &THEATRE, preset);
-    let name = format!("{object} from wrist");
-    elements.extend(position_elements(&name, &relative.grown(1e-3), preset));
-    elements.extend(position_elements(place, &THEATRE, preset));
-    elements.extend(options::euler_elements(place, "scene"));
-    elements
+/// What a state has of an object: its origin (3), that less the wrist's (3), the place to grasp (3) and its extrinsic XYZ
+/// Euler angles (3). `object` and `place` are names and where both are, `wrist` is the wrist as sensed.
+pub fn state(
+    (object, scene_from_object): (&str, &Pose),
+    (place, scene_from_place): (&str, &Pose),
+    wrist: &Pose,
+    preset: Preset,
+    state: &mut State<'_>,
+) {
+    let [origin, wrist] = [scene_from_object, wrist].map(|pose| pose.translation.vector);
+    position(object, &THEATRE, preset, &origin, state);
+    let scale = options::position_scale(preset);
+    let less_wrist = origin * scale - wrist * scale;
+    let elements = || {
+        let relative = Aabb { min: THEATRE.min - REACH.max, max: THEATRE.max - REACH.min };
+        let name = format!("{object} from wrist");
+        position_elements(&name, &relative.grown(1e-3), preset)
+    };
+    state.fields(elements, less_wrist.iter().copied());
+    position(place, &THEATRE, preset, &scene_from_place.translation.vector, state);
+    state.angles(place, "scene", frames::euler_xyz(&scene_from_place.rotation));
 }
 
-/// Writes what is observed of an object: its origin (3), that less the wrist's (3), the place to
-/// grasp (3) and its extrinsic XYZ Euler angles (3).
-pub fn observe(object: &Pose, place: &Pose, wrist: &Pose, preset: Preset, values: &mut [f32]) {
-    let scale = options::position_scale(preset);
-    let origin = object.translation.vector * scale;
-    let relative = origin - wrist.translation.vector * scale;
-    let at = place.translation.vector * scale;
-    let angles = frames::euler_xyz(&place.rotation);
-    let numbers = origin.iter().chain(&relative).chain(&at).chain(&angles);
-    for (value, number) in values.iter_mut().zip(numbers) {
-        *value = *number as f32;
-    }
+/// A position `at` (m) that an object takes along where it is lost, within `bounds` (m).
+pub fn position(
+    name: &str,
+    bounds: &Aabb,
+    preset: Preset,
+    at: &Vector3<f64>,
+    state: &mut State<'_>,
+) {
+    let at = at * options::position_scale(preset);
+    state.fields(|| position_elements(name, bounds, preset), at.iter().copied());
 }
 
 /// The goal of bringing `what` somewhere.

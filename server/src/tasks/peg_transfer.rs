@@ -99,21 +99,22 @@
 //! - v0: first version.
 
 use nalgebra::Vector3;
-use trocar_proto::goal::Reward;
-use trocar_proto::spec::OptionSpec;
-use trocar_proto::{Options, Rejection, Stage, TaskSpec};
+use trocar_proto::builtin::{self, TaskInfo};
+use trocar_proto::relative::Relative;
+use trocar_proto::spec::{Element, GoalSpec, OptionSpec};
+use trocar_proto::{Options, Rejection, Stage};
 
 use super::expert::{ArmView, ExpertInput};
 use super::objects;
 use super::options::{self, Preset};
 use super::peg_board::{Block, Layout, PegBoard};
 use super::peg_expert::{self, Transfer};
-use super::psm_scene::{self, MAX_STEPS, PaperAction, PsmArm, Station, Turn, WORKSPACE};
+use super::psm_scene::{self, PaperAction, PsmArm, Station, Turn, WORKSPACE};
 use super::relative::Grasping;
 use super::start::{self, Start};
 use super::theatre;
 use super::tray;
-use super::{Arms, Task};
+use super::{Arms, Registered, State, Task};
 use crate::render::Scene;
 use crate::sim::grasp::Grasp;
 use crate::sim::instrument::TIP_OFFSET;
@@ -138,12 +139,12 @@ pub struct PegTransfer {
     grasp: Grasp,
     start: Start,
     preset: Preset,
-    reward: Reward,
     layout: Layout,
 }
 
-impl Task for PegTransfer {
-    const ID: &'static str = "PegTransfer-v0";
+impl Registered for PegTransfer {
+    const INFO: TaskInfo = builtin::PEG_TRANSFER;
+    const CONSTANT_UNDER_PAPER: &'static [&'static str] = &["wrist link roll", "wrist link pitch"];
 
     fn options() -> Vec<OptionSpec> {
         objects::options(1, Block::SIZE, [start::option()], [])
@@ -165,14 +166,21 @@ impl Task for PegTransfer {
             start: Start::of(options),
             board,
             preset,
-            reward: options::reward_of(options),
         };
         Ok((task, world))
     }
+}
 
-    fn spec(&self) -> TaskSpec {
-        let mut observation = self.arm.observation_elements();
-        observation.extend(objects::observation_elements("block", "wall 1", self.preset));
+impl Task for PegTransfer {
+    fn action(&self) -> Vec<Element> {
+        self.arm.action_elements()
+    }
+
+    fn goal(&self) -> Option<GoalSpec> {
+        Some(PegBoard::goal_spec(self.preset))
+    }
+
+    fn relative(&self, _: &[Element]) -> Relative {
         let grasping = Grasping {
             arms: [&self.arm],
             object: "block",
@@ -181,19 +189,7 @@ impl Task for PegTransfer {
             level: Some(peg_expert::clear_of_pegs(self.layout.block)),
             preset: self.preset,
         };
-        TaskSpec {
-            id: Self::ID.into(),
-            summary: "Take a block from its peg to another one.".into(),
-            max_steps: self.arm.rate().steps(MAX_STEPS),
-            seconds_per_step: self.arm.rate().seconds(),
-            action: self.arm.action_elements(),
-            observation,
-            goal: Some(PegBoard::goal_spec(self.preset)),
-            reward: self.reward,
-            options: Self::options(),
-            relative: grasping.features(),
-            images: None,
-        }
+        grasping.features()
     }
 
     fn begins_prepared(&self) -> bool {
@@ -201,7 +197,7 @@ impl Task for PegTransfer {
     }
 
     fn prepare(&mut self, world: &mut World, rng: &mut Rng) {
-        start::bring_about(self, world, rng, Self::begin, |task, world| {
+        start::bring_about(self, world, rng, self.arm.rate(), Self::begin, |task, world| {
             task.transfer().progress(&task.arm, world) >= task.start
         });
     }
@@ -238,20 +234,18 @@ impl Task for PegTransfer {
         psm_scene::settle([&mut self.arm], world, &mut self.grasp, is_lifted);
     }
 
-    fn observe(
-        &self,
-        world: &World,
-        observation: &mut [f32],
-        achieved: &mut [f32],
-        desired: &mut [f32],
-    ) {
+    fn state(&self, world: &World, state: &mut State<'_>) {
+        self.arm.state(world, state);
+        let block = self.layout.block;
+        let centre = ("block", &world.pose(block.body()));
+        let wall = ("wall 1", &block.scene_from_wall(world, WALL));
+        objects::state(centre, wall, self.arm.scene_from_wrist(), self.preset, state);
+    }
+
+    fn goals(&self, world: &World, achieved: &mut [f32], desired: &mut [f32]) {
         let Layout { block, target } = self.layout;
-        let (arm, object) = observation.split_at_mut(PsmArm::OBSERVED);
-        self.arm.observe(world, arm);
-        let centre = world.pose(block.body());
-        let wall = block.scene_from_wall(world, WALL);
-        objects::observe(&centre, &wall, self.arm.scene_from_wrist(), self.preset, object);
-        objects::write_goal(&centre.translation.vector, self.preset, achieved);
+        let centre = world.pose(block.body()).translation.vector;
+        objects::write_goal(&centre, self.preset, achieved);
         objects::write_goal(&PegBoard::peg(target), self.preset, desired);
     }
 

@@ -9,8 +9,9 @@
 use trocar_proto::Options;
 use trocar_proto::spec::Element;
 
-use super::AnyTask;
+use super::Task;
 use super::options;
+use super::state::State;
 use crate::sim::world::World;
 
 /// Which of these an observation has.
@@ -40,7 +41,7 @@ impl Proprioception {
     }
 
     /// The elements of [`Self::measure`].
-    pub(crate) fn elements(self, task: &mut dyn AnyTask) -> Vec<Element> {
+    pub(crate) fn elements(self, task: &mut dyn Task) -> Vec<Element> {
         let mut elements = vec![];
         let arms = task.arms();
         let is_one = arms.len() == 1;
@@ -70,14 +71,14 @@ impl Proprioception {
             }
             if self.all {
                 elements.extend(endoscope.joint_elements());
-                elements.extend(endoscope.observation_elements());
+                elements.extend(State::elements(|state| endoscope.state(state)));
             }
         }
         elements
     }
 
     /// Writes what the arms measure now over `numbers`.
-    pub(crate) fn measure(self, task: &mut dyn AnyTask, world: &World, numbers: &mut Vec<f32>) {
+    pub(crate) fn measure(self, task: &mut dyn Task, world: &World, numbers: &mut Vec<f32>) {
         numbers.clear();
         for arm in &task.arms() {
             if self.joints {
@@ -99,7 +100,7 @@ impl Proprioception {
             if self.all {
                 numbers.extend(joints);
                 let mut camera = [0.0; 6];
-                endoscope.observe(&mut camera);
+                endoscope.state(&mut State::read(&mut camera));
                 numbers.extend(camera);
             }
         }

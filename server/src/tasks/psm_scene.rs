@@ -33,11 +33,13 @@
 use std::f64::consts::{FRAC_PI_2, PI};
 
 use nalgebra::Vector3;
+use trocar_proto::builtin;
 use trocar_proto::spec::{Element, RowSpec};
 use trocar_proto::{Options, Rejection};
 
 use super::options::{self, ActionMode, Preset, Range};
 use super::rate::Rate;
+use super::state::State;
 use crate::render::skeleton::Skeleton;
 use crate::render::{Jaws, Scene};
 use crate::robots::{ArmModel, Psm};
@@ -61,11 +63,8 @@ use orientation::wrist_from_link;
 pub(super) use orientation::{down, straight_down};
 pub use orientation::{pitch_across, pitch_of, pitched};
 
-/// How often the tasks are commanded for which numbers below are those of a step, 5 Hz.
-pub const RATE: Rate = Rate::nominal(5.0);
-
-/// Steps of an episode at [`RATE`].
-pub const MAX_STEPS: u32 = 50;
+/// How often the tasks are commanded for which numbers below are those of a step.
+pub const RATE: Rate = Rate::nominal(builtin::PSM_HERTZ);
 
 /// Height of the table's top, m. Source: the original's table.
 pub const TABLE_HEIGHT: f64 = 0.675;
@@ -541,33 +540,23 @@ impl PsmArm {
         }
     }
 
-    /// Number of values that [`Self::observe`] writes.
+    /// Number of fields of [`Self::state`].
     pub const OBSERVED: usize = 7;
 
-    /// The elements of [`Self::observe`].
-    pub fn observation_elements(&self) -> Vec<Element> {
-        self.observation_elements_within(&self.reach.grown(1e-3))
+    /// Its part of a state: wrist position (3) within its reach, extrinsic XYZ Euler angles of the wrist link (3), jaw
+    /// angle.
+    pub fn state(&self, world: &World, state: &mut State<'_>) {
+        self.state_within(&self.reach.grown(1e-3), world, state);
     }
 
     /// The same for an arm whose wrist stays in `bounds`, m.
-    pub fn observation_elements_within(&self, bounds: &Aabb) -> Vec<Element> {
-        let mut elements = options::position_elements("wrist", "scene", bounds, self.preset);
-        elements.extend(options::euler_elements("wrist link", "scene"));
-        elements.push(Element::new("jaw", "", "rad", -0.1, instrument::FORCED_OPEN as f32));
-        elements
-    }
-
-    /// Writes what is observed of the arm: wrist position (3), extrinsic XYZ Euler angles of the
-    /// wrist link (3), jaw angle.
-    pub fn observe(&self, world: &World, observation: &mut [f32]) {
-        let scale = options::position_scale(self.preset);
-        let position = self.scene_from_wrist.translation.vector * scale;
-        let angles = frames::euler_xyz(&(self.scene_from_wrist.rotation * wrist_from_link()));
-        let opening = self.instrument.opening(world);
-        let numbers = position.iter().chain(&angles).chain([&opening]);
-        for (slot, number) in observation.iter_mut().zip(numbers) {
-            *slot = *number as f32;
-        }
+    pub fn state_within(&self, bounds: &Aabb, world: &World, state: &mut State<'_>) {
+        let wrist = &self.scene_from_wrist;
+        state.position("wrist", "scene", bounds, self.preset, &wrist.translation.vector);
+        let angles = frames::euler_xyz(&(wrist.rotation * wrist_from_link()));
+        state.angles("wrist link", "scene", angles);
+        let jaw = || Element::new("jaw", "", "rad", -0.1, instrument::FORCED_OPEN as f32);
+        state.field(jaw, self.instrument.opening(world));
     }
 }
 

@@ -15,7 +15,7 @@
 use nalgebra::Vector3;
 use trocar_proto::Options;
 use trocar_proto::relative::{Bound, Feature, Place, Relative, Rule};
-use trocar_proto::spec::{Element, TaskSpec};
+use trocar_proto::spec::Element;
 
 use super::options::{self, Preset};
 use super::psm_scene::PsmArm;
@@ -29,17 +29,11 @@ pub(crate) fn is_wanted(options: &Options) -> bool {
     options::observes(options, WORD)
 }
 
-/// The features that `spec` names, with the dimensions of the task's own state and goals.
-pub(crate) fn of(spec: &TaskSpec) -> Relative {
-    let dims = [spec.observation_dim(), spec.goal_dim()];
-    Relative { dims, ..spec.relative.clone() }
-}
-
 /// The whole range of lengths that matter, m, and those that matter nearby.
 const FAR: f64 = 0.05;
 const NEAR: [f64; 3] = [0.01, 0.003, 0.001];
 
-/// Numbers of what `PsmArm::observe` writes: where the angles and the jaw begin.
+/// Numbers of what `PsmArm::state` has: where the angles and the jaw begin.
 const ANGLES: usize = 3;
 const JAW: usize = 6;
 
@@ -124,8 +118,8 @@ impl Grip {
     }
 }
 
-/// What stands where in the state of a task with PSMs and an object: see [`super::objects::observe`] and
-/// [`super::bimanual::observe`].
+/// What stands where in the state of a task with PSMs and an object: see [`super::objects::state`] and
+/// [`super::bimanual::state`].
 pub(super) struct Grasping<'a, const ARMS: usize> {
     /// The arms.
     pub(super) arms: [&'a PsmArm; ARMS],

@@ -10,7 +10,8 @@ use trocar_proto::Options;
 use trocar_proto::spec::OptionSpec;
 
 use super::expert::ExpertInput;
-use super::{AnyTask, Task, rate, time};
+use super::rate::Rate;
+use super::{Registered, Task, time};
 use crate::sim::random::Rng;
 use crate::sim::world::World;
 
@@ -55,46 +56,49 @@ impl Start {
     }
 }
 
-/// Lets the expert of `task` work until it is `there`. `begin` begins an episode from nothing; where the
+/// Lets the expert of `task`, commanded at `rate`, work until it is `there`. `begin` begins an episode from nothing; where the
 /// expert fails, it begins another.
-pub fn bring_about<T: Task>(
+pub fn bring_about<T: Registered>(
     task: &mut T,
     world: &mut World,
     rng: &mut Rng,
+    rate: Rate,
     begin: impl Fn(&mut T, &mut World, &mut Rng),
     there: impl Fn(&T, &World) -> bool,
 ) {
-    let spec = Task::spec(task);
-    let mut action = vec![0.0; spec.action_dim()];
+    let mut action = vec![0.0; task.action().len()];
     let (empty_task, empty_world) = (task.clone(), world.clone());
     for _ in 0..ATTEMPTS {
         task.clone_from(&empty_task);
         world.clone_from(&empty_world);
         begin(task, world, rng);
-        for _ in 0..spec.max_steps {
+        for _ in 0..rate.steps(T::INFO.steps) {
             if there(task, world) {
                 return;
             }
             Task::expert(task, world, &ExpertInput::default(), &mut action);
-            time::step(task, world, Some(&action), rate::substeps(spec.seconds_per_step));
+            time::step(task, world, Some(&action), rate.substeps());
         }
     }
-    tracing::warn!(task = T::ID, "the expert failed to prepare a start; it is as far as it came");
+    tracing::warn!(
+        task = T::INFO.id,
+        "the expert failed to prepare a start; it is as far as it came"
+    );
 }
 
 /// A task in its world, where episodes begin.
-type State = (Box<dyn AnyTask>, World);
+type State = (Box<dyn Task>, World);
 
 /// The states in which episodes begin.
 pub(crate) struct Starts {
-    task: Box<dyn AnyTask>,
+    task: Box<dyn Task>,
     world: World,
     states: Box<[OnceLock<State>]>,
 }
 
 impl Starts {
     /// The states of `task` in `world`; none is made yet.
-    pub(crate) fn new(task: Box<dyn AnyTask>, world: World) -> Self {
+    pub(crate) fn new(task: Box<dyn Task>, world: World) -> Self {
         Self { task, world, states: (0..COUNT).map(|_| OnceLock::new()).collect() }
     }
 

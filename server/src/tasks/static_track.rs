@@ -91,23 +91,22 @@
 //!
 //! - v0: first version.
 
-use trocar_proto::goal::{Reward, SuccessRule};
-use trocar_proto::spec::{GoalSpec, OptionSpec};
-use trocar_proto::{Options, Rejection, TaskSpec};
+use trocar_proto::builtin::{self, TaskInfo};
+use trocar_proto::goal::SuccessRule;
+use trocar_proto::relative::Relative;
+use trocar_proto::spec::{Element, GoalSpec, OptionSpec};
+use trocar_proto::{Options, Rejection};
 
-use super::Task;
 use super::camera::Cube;
 use super::ecm_scene::{EcmArm, RATE, misorientation_element};
 use super::expert::{ExpertInput, Sees};
 use super::options;
 use super::relative;
 use super::track::{Layout, Tracker, image_elements};
+use super::{Registered, State, Task};
 use crate::render::Scene;
 use crate::sim::random::Rng;
 use crate::sim::world::{Solver, World};
-
-/// Steps of an episode.
-const MAX_STEPS: u32 = 50;
 
 /// Joints at the start, rad; index 2 in m. Source: the original.
 const START: [f64; 4] = [0.0, 0.0, 0.04, 0.0];
@@ -133,7 +132,6 @@ const CAMERA_ANGLE: f64 = 0.004;
 #[derive(Debug, Clone)]
 pub struct StaticTrack {
     tracker: Tracker,
-    reward: Reward,
 }
 
 impl StaticTrack {
@@ -143,8 +141,9 @@ impl StaticTrack {
     }
 }
 
-impl Task for StaticTrack {
-    const ID: &'static str = "StaticTrack-v0";
+impl Registered for StaticTrack {
+    const INFO: TaskInfo = builtin::STATIC_TRACK;
+    const CONSTANT_UNDER_PAPER: &'static [&'static str] = &["target in view"];
 
     fn options() -> Vec<OptionSpec> {
         vec![
@@ -163,30 +162,26 @@ impl Task for StaticTrack {
     fn new(options: &Options) -> Result<(Self, World), Rejection> {
         let target = LAYOUT.target(&nalgebra::Vector2::zeros(), 0.0);
         let tracker = Tracker::new(options, &START, target)?;
-        let task = Self { tracker, reward: options::reward_of(options) };
+        let task = Self { tracker };
         Ok((task, World::new(Solver::HEAVY)))
     }
+}
 
-    fn spec(&self) -> TaskSpec {
+impl Task for StaticTrack {
+    fn action(&self) -> Vec<Element> {
+        self.tracker.action_elements()
+    }
+
+    fn goal(&self) -> Option<GoalSpec> {
         let [x, y] = image_elements();
-        let observation = self.tracker.observation_elements();
-        let relative = relative::looking(&observation, &[], 3, &[1.0, 0.1, 0.01]);
-        TaskSpec {
-            id: Self::ID.into(),
-            summary: "Centre a cube among others in the endoscope's picture.".into(),
-            max_steps: self.tracker.rate().steps(MAX_STEPS),
-            seconds_per_step: self.tracker.rate().seconds(),
-            action: self.tracker.action_elements(),
-            observation,
-            goal: Some(GoalSpec {
-                elements: vec![x, y, misorientation_element()],
-                success: SuccessRule::Centred { image: IMAGE_TOLERANCE, angle: ANGLE_TOLERANCE },
-            }),
-            reward: self.reward,
-            options: Self::options(),
-            relative,
-            images: None,
-        }
+        Some(GoalSpec {
+            elements: vec![x, y, misorientation_element()],
+            success: SuccessRule::Centred { image: IMAGE_TOLERANCE, angle: ANGLE_TOLERANCE },
+        })
+    }
+
+    fn relative(&self, state: &[Element]) -> Relative {
+        relative::looking(state, &[], 3, &[1.0, 0.1, 0.01])
     }
 
     fn reset(&mut self, _: &mut World, rng: &mut Rng) {
@@ -209,14 +204,11 @@ impl Task for StaticTrack {
         self.tracker.look();
     }
 
-    fn observe(
-        &self,
-        _: &World,
-        observation: &mut [f32],
-        achieved: &mut [f32],
-        desired: &mut [f32],
-    ) {
-        self.tracker.observe(observation);
+    fn state(&self, _: &World, state: &mut State<'_>) {
+        self.tracker.state(state);
+    }
+
+    fn goals(&self, _: &World, achieved: &mut [f32], desired: &mut [f32]) {
         let point = self.tracker.sighting().point;
         achieved[0] = point.x as f32;
         achieved[1] = point.y as f32;

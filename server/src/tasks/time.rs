@@ -1,7 +1,7 @@
 //! How time passes for a task: a command, the substeps of the motion that it asks for, and a look at where the
 //! arms are.
 
-use super::AnyTask;
+use super::Task;
 use crate::sim::motion::{Effort, Instruments, Motion};
 use crate::sim::world::World;
 
@@ -15,7 +15,7 @@ impl Time {
     /// Gives `action` to the task, or lets its arms hold where there is none, within `substeps`.
     pub(crate) fn command(
         &mut self,
-        task: &mut dyn AnyTask,
+        task: &mut dyn Task,
         world: &mut World,
         action: Option<&[f32]>,
         substeps: u32,
@@ -25,12 +25,7 @@ impl Time {
     }
 
     /// Lets `substeps` pass, at most as many as are left of the motion.
-    pub(crate) fn pass(
-        &mut self,
-        task: &mut dyn AnyTask,
-        world: &mut World,
-        substeps: u32,
-    ) -> Effort {
+    pub(crate) fn pass(&mut self, task: &mut dyn Task, world: &mut World, substeps: u32) -> Effort {
         let mut arms = task.arms();
         let mut instruments: Instruments<'_> =
             arms.iter_mut().map(|arm| arm.instrument()).collect();
@@ -39,7 +34,7 @@ impl Time {
 
     /// Lets the arms' sensors report where the arms are. The endoscope, which touches nothing, moves only then; its
     /// part of the effort is given.
-    pub(crate) fn sense(&self, task: &mut dyn AnyTask) -> Effort {
+    pub(crate) fn sense(&self, task: &mut dyn Task) -> Effort {
         for (arm, arrival) in task.arms().iter_mut().zip(self.motion.arrivals()) {
             arm.arrive(arrival);
         }
@@ -54,12 +49,7 @@ impl Time {
 }
 
 /// Lets a step of `substeps` pass for a task whose commands are not late.
-pub(crate) fn step(
-    task: &mut dyn AnyTask,
-    world: &mut World,
-    action: Option<&[f32]>,
-    substeps: u32,
-) {
+pub(crate) fn step(task: &mut dyn Task, world: &mut World, action: Option<&[f32]>, substeps: u32) {
     let mut time = Time::default();
     time.command(task, world, action, substeps);
     time.pass(task, world, substeps);

@@ -43,12 +43,10 @@ use super::expert::ExpertInput;
 use super::options::{self, Preset};
 use super::perception;
 use super::rate::Rate;
+use super::state::State;
 use crate::assets::Model;
 use crate::render::Scene;
 use crate::sim::random::Rng;
-
-/// Elements of [`Tracker::observe`].
-pub const OBSERVATION: usize = 10;
 
 /// Cubes besides the target. Source: the original.
 pub const DISTRACTORS: usize = 18;
@@ -248,30 +246,21 @@ impl Tracker {
         self.arm.action_elements()
     }
 
-    /// The elements of [`Self::observe`].
-    pub fn observation_elements(&self) -> Vec<Element> {
-        use std::f32::consts::PI;
-        let mut elements = self.arm.observation_elements();
-        elements.push(Element::new("target in view", "", "1", 0.0, 1.0));
-        elements.extend(image_elements());
-        elements.push(match self.preset {
+    /// The state; see the module's description.
+    pub fn state(&self, state: &mut State<'_>) {
+        self.arm.state(state);
+        let (in_view, point) = self.observed();
+        let seen = || Element::new("target in view", "", "1", 0.0, 1.0);
+        state.field(seen, f64::from(u8::from(in_view)));
+        state.fields(|| image_elements().into(), [point.x, point.y]);
+        let roll = || match self.preset {
             Preset::Paper => misorientation_element(),
             Preset::Surrol => {
-                let bound = SURROL_ROLL_GAIN as f32 * PI;
+                let bound = SURROL_ROLL_GAIN as f32 * std::f32::consts::PI;
                 Element::new("roll rate", "camera image", "rad/s", -bound, bound)
             }
-        });
-        elements
-    }
-
-    /// Writes the observation; see the module's description.
-    pub fn observe(&self, observation: &mut [f32]) {
-        self.arm.observe(observation);
-        let (in_view, point) = self.observed();
-        observation[6] = f32::from(u8::from(in_view));
-        observation[7] = point.x as f32;
-        observation[8] = point.y as f32;
-        observation[9] = self.roll_number(self.arm.sensed_misorientation()) as f32;
+        };
+        state.field(roll, self.roll_number(self.arm.sensed_misorientation()));
     }
 
     /// A misorientation (rad) as the last number of an observation under this preset.

@@ -36,7 +36,7 @@ fn the_start_is_the_originals() {
             assert!((found - expected).abs() < 2e-3, "{model}: {:?}", arm.joints);
         }
         let mut seen = [0.0; PsmArm::OBSERVED];
-        arm.observe(&world, &mut seen);
+        arm.state(&world, &mut State::read(&mut seen));
         let quarter = std::f32::consts::FRAC_PI_2;
         let start = [0.5, 0.05, 0.7552, -quarter, 0.0, quarter, 0.0];
         for (found, expected) in seen.iter().zip(start) {
@@ -146,7 +146,7 @@ fn the_pitch_turns_jaws_about_themselves_within_a_quarter_turn() {
         let mut seen = [0.0; PsmArm::OBSERVED];
         for (turn, pitch) in [(1.0, -75.0), (0.4, -69.0), (-1.0, -84.0)] {
             step(&mut arm, &mut world, &[0.0, 0.0, 0.0, turn, -1.0]);
-            arm.observe(&world, &mut seen);
+            arm.state(&world, &mut State::read(&mut seen));
             let expected = [roll, pitch * DEGREE, yaw];
             for (found, expected) in seen[3..6].iter().zip(expected) {
                 assert!((f64::from(*found) - expected).abs() < 1e-6, "{seen:?}");
@@ -155,7 +155,7 @@ fn the_pitch_turns_jaws_about_themselves_within_a_quarter_turn() {
         for _ in 0..2 {
             step(&mut arm, &mut world, &[0.0, 0.0, 0.0, -1.0, -1.0]);
         }
-        arm.observe(&world, &mut seen);
+        arm.state(&world, &mut State::read(&mut seen));
         // The original's numbers where roll and yaw are not determined.
         for (found, expected) in seen[3..6].iter().zip([0.0, -FRAC_PI_2, -FRAC_PI_2]) {
             assert!((f64::from(*found) - expected).abs() < 1e-6, "{seen:?}");
