@@ -13,7 +13,7 @@ mod spec;
 mod wait;
 
 use pyo3::prelude::*;
-use pyo3::types::PyTuple;
+use pyo3::types::{IntoPyDict, PyTuple};
 
 /// The module; its Python side is documented in `_trocar.pyi`.
 #[pymodule]
@@ -23,6 +23,9 @@ fn _trocar(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add("BINARY", trocar_client::private::BINARY)?;
     let stages = trocar_client::proto::Stage::ALL.map(trocar_client::proto::Stage::name);
     module.add("STAGES", PyTuple::new(module.py(), stages)?)?;
+    let tasks = trocar_client::proto::builtin::ALL;
+    let tasks = tasks.iter().map(|task| (task.id, (task.steps, task.hertz, task.tags.to_vec())));
+    module.add("TASKS", tasks.into_py_dict(module.py())?)?;
     module.add("INFOS", PyTuple::new(module.py(), columns::all_infos())?)?;
     module.add_class::<client::Client>()?;
     module.add_class::<session::Session>()?;

@@ -17,12 +17,12 @@ from pathlib import Path
 import pytest
 
 import trocar
-from trocar.registration import TASKS
+from trocar.registration import TAGS, TASKS
 
 WATCHDOG = 60.0
 """Seconds after which a test that waits has failed; nothing here takes that long."""
 
-WITHOUT_GOALS = ("ActiveTrack-v0",)
+WITHOUT_GOALS = tuple(task for task in TASKS if "endless" in TAGS[task])
 """Tasks whose observations are one array."""
 
 Script = Callable[..., subprocess.Popen[str]]
@@ -32,6 +32,21 @@ Interrupted = Callable[[Callable[[], object]], None]
 # A shell that runs the tests in the background has Ctrl-C ignored, and what ignores a signal hands
 # that down to the processes it starts.
 signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Tags of tasks are markers."""
+    for tag in sorted(frozenset().union(*TAGS.values())):
+        config.addinivalue_line("markers", f"{tag}: of a task with this tag")
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """A test of a task has the task's tags as markers: ``-m "not grasp"`` leaves some out."""
+    for item in items:
+        parameters = getattr(item, "callspec", None)
+        for value in parameters.params.values() if parameters else ():
+            for tag in TAGS.get(value, ()) if isinstance(value, str) else ():
+                item.add_marker(tag)
 
 
 @pytest.fixture(scope="session")

@@ -75,7 +75,7 @@ def test_the_spec_of_an_environment_has_its_own_episode_length(task: str, server
     for rate in (10, 20):
         env = gym.make(f"trocar/{task}", server=server, rate=rate)
         vector = gym.make_vec(f"trocar/{task}", num_envs=2, server=server, rate=rate)
-        nominal = RATES.get(task, 5)
+        nominal = RATES[task]
         assert env.spec is not None
         for spec in (env.spec, gym.make(env.spec, server=server).spec, vector.spec):
             assert spec is not None

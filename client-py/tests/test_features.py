@@ -11,18 +11,9 @@ from numpy.typing import NDArray
 
 import trocar
 from trocar import TrocarVectorEnv
+from trocar.registration import TAGS, TASKS
 
-GOAL_TASKS = [
-    "NeedleReach-v0",
-    "GauzeRetrieve-v0",
-    "NeedlePick-v0",
-    "PegTransfer-v0",
-    "NeedleRegrasp-v0",
-    "BiPegTransfer-v0",
-    "EcmReach-v0",
-    "MisOrient-v0",
-    "StaticTrack-v0",
-]
+GOAL_TASKS = [task for task in TASKS if "endless" not in TAGS[task]]
 
 
 def reference(program: list[dict[str, Any]], x: NDArray[np.float64]) -> NDArray[np.float64]:

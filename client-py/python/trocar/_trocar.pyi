@@ -16,6 +16,7 @@ __all__ = [
     "INFOS",
     "PRIVATE_SERVER",
     "STAGES",
+    "TASKS",
     "Client",
     "Element",
     "ImageSpec",
@@ -34,6 +35,8 @@ __version__: str
 PRIVATE_SERVER: str
 BINARY: str
 STAGES: tuple[str, ...]
+TASKS: dict[str, tuple[int, float, list[str]]]
+"""Of each of Trocar's own tasks: steps of an episode, the nominal rate in Hz, tags."""
 INFOS: tuple[tuple[str, str, str, str], ...]
 """Of each column that infos have: its role (``step``, ``fault``, ``episode``, ``expert``), its key, its
 name in :class:`Reply`, the kind of its numbers."""

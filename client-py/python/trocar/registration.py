@@ -4,28 +4,21 @@ from __future__ import annotations
 
 import gymnasium as gym
 
+from trocar import _trocar
 from trocar._connection import connect
 
 NAMESPACE = "trocar"
 
-# The steps of an episode at each task's nominal rate, here so that importing needs no server; a
-# test compares them with the server's. Gymnasium's registry has none: its TimeLimit would cut
-# episodes of other rates short. An environment's own spec says how many steps its episodes have.
-TASKS = {
-    "NeedleReach-v0": 50,
-    "NeedlePick-v0": 50,
-    "GauzeRetrieve-v0": 50,
-    "PegTransfer-v0": 50,
-    "NeedleRegrasp-v0": 50,
-    "BiPegTransfer-v0": 50,
-    "EcmReach-v0": 50,
-    "MisOrient-v0": 50,
-    "StaticTrack-v0": 50,
-    "ActiveTrack-v0": 500,
-}
+# From the bindings, so that importing needs no server. Gymnasium's registry has no numbers of steps:
+# its TimeLimit would cut episodes of other rates short. An environment's own spec has its number.
+TASKS = {task: steps for task, (steps, _, _) in _trocar.TASKS.items()}
+"""Steps of an episode at each task's nominal rate."""
 
-RATES = dict.fromkeys(("EcmReach-v0", "MisOrient-v0", "StaticTrack-v0", "ActiveTrack-v0"), 10)
-"""Nominal rates of the tasks that have another one than 5 Hz."""
+RATES = {task: int(hertz) for task, (_, hertz, _) in _trocar.TASKS.items()}
+"""Nominal rates of the tasks, Hz."""
+
+TAGS = {task: frozenset(tags) for task, (_, _, tags) in _trocar.TASKS.items()}
+"""What kind of task each is: ``psm``, ``grasp``, ``bimanual``, ``camera``, ``endless``."""
 
 
 def register_all(server: str | None = None) -> list[str]:

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 import trocar
 from trocar._trocar import Element
 from trocar.demos._episodes import Episode
+from trocar.registration import TAGS
 from trocar.vector import TrocarVectorEnv
 
 if TYPE_CHECKING:
@@ -73,7 +74,7 @@ def write(folder: Path, recipe: Recipe, envs: TrocarVectorEnv, episodes: Iterato
     _write(folder / "meta/subtasks.parquet", _indexed("subtask", list(trocar.STAGES)))
     info = {
         "codebase_version": "v3.0",
-        "robot_type": "dvrk_ecm" if spec.id in ECM_TASKS else "dvrk_psm",
+        "robot_type": "dvrk_ecm" if "camera" in TAGS.get(spec.id, ()) else "dvrk_psm",
         "total_episodes": len(rows),
         "total_frames": begin,
         "total_tasks": 1,
@@ -90,9 +91,6 @@ def write(folder: Path, recipe: Recipe, envs: TrocarVectorEnv, episodes: Iterato
     (folder / "meta/info.json").write_text(json.dumps(info, indent=2))
     stats = {name: _statistics(values) for name, values in whole.items() if len(values)}
     (folder / "meta/stats.json").write_text(json.dumps(stats, indent=2))
-
-
-ECM_TASKS = ("EcmReach-v0", "MisOrient-v0", "StaticTrack-v0", "ActiveTrack-v0")
 
 
 def _features(

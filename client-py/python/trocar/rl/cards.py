@@ -46,7 +46,7 @@ def conditions(config: Config) -> dict[str, dict[str, Any]]:
     domain = config.task_options.get("domain", {})
     return {
         AS_TRAINED: {},
-        "twice the rate": {"rate": 2 * RATES.get(config.task, 5)},
+        "twice the rate": {"rate": 2 * RATES[config.task]},
         "60 ms late": {"domain": domain | {"latency_seconds": [0.06, 0.06]}},
         "noise 0.5 mm": {"domain": domain | {"action_noise": [0.0005, 0.0005]}},
     }
