@@ -38,8 +38,9 @@ STAGES: tuple[str, ...]
 TASKS: dict[str, tuple[int, float, list[str]]]
 """Of each of Trocar's own tasks: steps of an episode, the nominal rate in Hz, tags."""
 INFOS: tuple[tuple[str, str, str, str], ...]
-"""Of each column that infos have: its role (``step``, ``fault``, ``episode``, ``expert``), its key, its
-name in :class:`Reply`, the kind of its numbers."""
+"""Of each column that infos have: role, key, name in :class:`Reply`, kind of numbers.
+
+Roles are ``step``, ``fault``, ``episode`` and ``expert``."""
 
 def unique_name() -> str:
     """A name for a private server that no other has."""

@@ -9,8 +9,8 @@ from trocar._connection import connect
 
 NAMESPACE = "trocar"
 
-# From the bindings, so that importing needs no server. Gymnasium's registry has no numbers of steps:
-# its TimeLimit would cut episodes of other rates short. An environment's own spec has its number.
+# From the bindings, so that importing needs no server. Gymnasium's registry has no numbers of
+# steps: its TimeLimit would cut episodes of other rates short. An environment's own spec has one.
 TASKS = {task: steps for task, (steps, _, _) in _trocar.TASKS.items()}
 """Steps of an episode at each task's nominal rate."""
 

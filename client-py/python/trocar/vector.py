@@ -46,7 +46,6 @@ Step = tuple[Observation, NDArray[np.float32], NDArray[np.bool_], NDArray[np.boo
 """Observations, rewards, terminations, truncations, infos; a row for each environment."""
 
 
-
 def _keys(*roles: str) -> tuple[str, ...]:
     """The keys of infos of these roles."""
     return tuple(key for role, key, _, _ in _trocar.INFOS if role in roles)

@@ -155,15 +155,11 @@ impl Ecm {
     }
 
     /// Length of the path of the end of the endoscope, m, where each joint moves evenly from `start` to `end`. It holds
-    /// for movements of a step: three nodes of Gauss and Legendre are exact there to a millionth of it.
+    /// for movements of a step: two nodes of Gauss and Legendre are exact there to a millionth of it.
     ///
     /// `start`, `end`: joint values, rad; index 2 in m.
     pub fn tip_path(&self, start: &[f64; 4], end: &[f64; 4]) -> f64 {
-        const NODES: [[f64; 2]; 3] = [
-            [0.112_701_665_379_258_3, 5.0 / 18.0],
-            [0.5, 8.0 / 18.0],
-            [0.887_298_334_620_741_7, 5.0 / 18.0],
-        ];
+        const NODES: [f64; 2] = [0.211_324_865_405_187_1, 0.788_675_134_594_812_9];
         let [yaw, pitch, insertion] = [0, 1, 2].map(|joint| end[joint] - start[joint]);
         if [yaw, pitch, insertion] == [0.0; 3] {
             return 0.0; // a turn about its own axis moves no tip
@@ -175,7 +171,7 @@ impl Ecm {
             let turned = across * across * (pitch * pitch + cos * cos * yaw * yaw);
             (insertion * insertion + turned).sqrt()
         };
-        NODES.iter().map(|[part, weight]| weight * speed(*part)).sum()
+        0.5 * (speed(NODES[0]) + speed(NODES[1]))
     }
 
     /// Columns: the camera's axes in the last DH frame, dVRK's tool-tip rotation times

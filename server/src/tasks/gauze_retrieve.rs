@@ -33,7 +33,7 @@
 //! | 5 | yaw; π/2 under `paper` | −π | π | rad |
 //! | 6 | jaw angle: the opening between the fingers | −0.1 | 1.6 | rad |
 //! | 7–9 | gauze x, y, z (its middle), scene frame | 0.292, −0.268, 0.6 | 0.708, 0.268, 0.9 | m |
-//! | 10–12 | gauze less wrist x, y, z, scene frame | −0.313, −0.323, −0.1732 | 0.213, 0.323, 0.2158 | m |
+//! | 10–12 | gauze less wrist x, y, z, scene frame | −0.313, −0.323, −0.1722 | 0.213, 0.323, 0.2158 | m |
 //! | 13–15 | crest of the pleat x, y, z, scene frame | 0.292, −0.268, 0.6 | 0.708, 0.268, 0.9 | m |
 //! | 16–18 | roll, pitch, yaw of the gauze | −π, −π/2, −π | π, π/2, π | rad |
 //!
@@ -103,24 +103,15 @@
 
 use nalgebra::Vector3;
 use trocar_proto::builtin::{self, TaskInfo};
-use trocar_proto::relative::Relative;
-use trocar_proto::spec::{Element, GoalSpec, OptionSpec};
-use trocar_proto::{Options, Rejection, Stage};
 
-use super::expert::{ArmView, ExpertInput};
+use super::expert::ExpertInput;
 use super::gauze::{self, Gauze};
-use super::objects;
-use super::options::{self, Preset};
+use super::options::{Domain, Preset};
 use super::pad::Pad;
-use super::pick::Pick;
-use super::psm_scene::{self, PaperAction, PsmArm, Station, Turn, WORKSPACE};
-use super::relative::{Grasping, Grip};
-use super::start::{self, Start};
-use super::theatre;
-use super::{Arms, Registered, State, Task};
+use super::picking::{Pickable, Picking};
+use super::psm_scene::{self, Turn};
 use crate::render::Scene;
 use crate::sim::frames::Pose;
-use crate::sim::grasp::Grasp;
 use crate::sim::instrument::TIP_OFFSET;
 use crate::sim::random::Rng;
 use crate::sim::world::{BodyId, World};
@@ -133,200 +124,85 @@ const GRASP_CLEARANCE: f64 = 0.15e-3;
 /// Source: the original, which takes 2.5 mm from where it lay.
 const WELD_LIFT: f64 = 0.0025;
 
-/// Spread of goals under `spawn = "narrow"`, m. Source: the original.
-const GOAL_SPREAD: f64 = 0.02;
-
-/// Height of goals under `spawn = "narrow"`, m. Source: the original.
-const GOAL_HEIGHT: f64 = 0.7252;
-
 /// Height of the lowest goal over the tray's rim, m: a gauze that hangs in the jaws passes over it.
 const LOWEST_GOAL: f64 = 0.005;
 
 /// The task; see the module's description.
+pub type GauzeRetrieve = Picking<LyingGauze>;
+
+/// A gauze, and the height on which it lies, m.
 #[derive(Debug, Clone)]
-pub struct GauzeRetrieve {
-    arm: PsmArm,
-    /// What lies on the floor of the tray, where it is soft.
-    pad: Option<Pad>,
-    /// Height on which the gauze lies, m.
-    floor: f64,
+pub struct LyingGauze {
     gauze: Gauze,
-    grasp: Grasp,
-    start: Start,
-    narrow: bool,
-    preset: Preset,
-    goal: Vector3<f64>,
+    floor: f64,
 }
 
-impl Registered for GauzeRetrieve {
+impl Pickable for LyingGauze {
     const INFO: TaskInfo = builtin::GAUZE_RETRIEVE;
+    const PAPER: Turn = Turn::Nothing;
     const CONSTANT_UNDER_PAPER: &'static [&'static str] =
         &["wrist link roll", "wrist link pitch", "wrist link yaw"];
+    const NAMES: [&'static str; 2] = ["gauze", "crest"];
+    const CARRIED: &'static str = "gauze";
+    const SIZE: [f64; 2] = Gauze::SIZE;
+    const NARROW_GOALS: [f64; 2] = [0.02, 0.7252]; // source: the original
 
-    fn options() -> Vec<OptionSpec> {
-        let own = [options::spawn(), start::option()];
-        objects::options(1, Gauze::SIZE, own, options::pad_rows())
-    }
-
-    fn new(options: &Options) -> Result<(Self, World), Rejection> {
-        let preset = options::preset_of(options);
-        let domain = options::Domain::of(options)?;
+    fn furnish(preset: Preset, domain: Domain) -> (World, Option<Pad>, Self) {
         let (mut world, pad) = gauze::furnished_world(preset, domain);
-        let (gauze, floor) = (Gauze::insert(&mut world, preset, domain), gauze::floor(domain));
-        let paper = PaperAction { turn: Turn::Nothing, jaw: true };
-        let start = [WORKSPACE.min.x, WORKSPACE.max.y, WORKSPACE.centre().z + TIP_OFFSET];
-        let station = Station::psm1(start, floor);
-        let grasp = Grasp::new(&mut world, options::grasp_of(options), gauze.body());
-        let task = Self {
-            arm: PsmArm::insert(&mut world, options, paper, station)?,
-            pad,
-            floor,
-            gauze,
-            grasp,
-            start: Start::of(options),
-            narrow: options.text("spawn") == Some("narrow"),
-            preset,
-            goal: Vector3::zeros(),
-        };
-        Ok((task, world))
-    }
-}
-
-impl Task for GauzeRetrieve {
-    fn action(&self) -> Vec<Element> {
-        self.arm.action_elements()
+        let gauze = Gauze::insert(&mut world, preset, domain);
+        (world, pad, Self { gauze, floor: gauze::floor(domain) })
     }
 
-    fn goal(&self) -> Option<GoalSpec> {
-        Some(objects::goal_spec("gauze", self.preset))
+    fn body(&self) -> BodyId {
+        self.gauze.body()
     }
 
-    fn relative(&self, _: &[Element]) -> Relative {
-        let grasping = Grasping {
-            arms: [&self.arm],
-            object: "gauze",
-            places: ["crest"],
-            grips: [vec![Grip::at(0, "crest")]],
-            level: None,
-            preset: self.preset,
-        };
-        grasping.features()
+    fn support(&self) -> f64 {
+        self.floor
     }
 
-    fn begins_prepared(&self) -> bool {
-        self.start != Start::Reset
+    fn lowest_goal() -> f64 {
+        gauze::rim() + LOWEST_GOAL
     }
 
-    fn prepare(&mut self, world: &mut World, rng: &mut Rng) {
-        start::bring_about(self, world, rng, self.arm.rate(), Self::begin, |task, world| {
-            task.pick(world, &ExpertInput::default()).progress(&task.arm, world) >= task.start
-        });
-    }
-
-    fn reset(&mut self, world: &mut World, rng: &mut Rng) {
-        if self.begins_prepared() {
-            self.goal = self.draw_goal(rng);
-        } else {
-            self.begin(world, rng);
-        }
-    }
-
-    fn objects(&self) -> Vec<(&'static str, BodyId)> {
-        vec![("gauze", self.gauze.body())]
-    }
-
-    fn set_goal(&mut self, goal: &Vector3<f64>) -> Result<(), Rejection> {
-        self.arm.check_goal(goal)?;
-        self.goal = *goal;
-        Ok(())
-    }
-
-    fn command(&mut self, world: &mut World, action: Option<&[f32]>) {
-        psm_scene::command([&mut self.arm], world, &mut self.grasp, action);
-    }
-
-    fn arms(&mut self) -> Arms<'_> {
-        [&mut self.arm].into_iter().collect()
-    }
-
-    fn after_step(&mut self, world: &mut World) {
-        let height = world.pose(self.gauze.body()).translation.z;
-        let is_lifted = height > self.floor + WELD_LIFT;
-        psm_scene::settle([&mut self.arm], world, &mut self.grasp, is_lifted);
-    }
-
-    fn state(&self, world: &World, state: &mut State<'_>) {
-        self.arm.state(world, state);
-        let gauze = world.pose(self.gauze.body());
-        let crest = ("crest", &(gauze * Pose::from(self.gauze.crest())));
-        let wrist = self.arm.scene_from_wrist();
-        objects::state(("gauze", &gauze), crest, wrist, self.preset, state);
-    }
-
-    fn goals(&self, world: &World, achieved: &mut [f32], desired: &mut [f32]) {
-        let gauze = world.pose(self.gauze.body()).translation.vector;
-        objects::write_goal(&gauze, self.preset, achieved);
-        objects::write_goal(&self.goal, self.preset, desired);
-    }
-
-    fn scene(&self, world: &World, scene: &mut Scene) {
-        theatre::draw(scene, self.arm.model());
-        if let Some(pad) = &self.pad {
-            pad.draw(world, scene);
-        }
-        self.gauze.draw(world, scene);
-        self.arm.draw(world, scene);
-        scene.add_goal(&self.goal, theatre::GOAL_RADIUS);
-    }
-
-    fn expert(&self, world: &World, input: &ExpertInput<'_>, action: &mut [f32]) {
-        let [view] = ArmView::of([&self.arm], world, input);
-        self.pick(world, input).act(&view, world, input, action);
-    }
-
-    fn stage(&self, world: &World, input: &ExpertInput<'_>) -> Stage {
-        let [view] = ArmView::of([&self.arm], world, input);
-        self.pick(world, input).stage(&view, world, input)
-    }
-}
-
-impl GauzeRetrieve {
-    /// Lays the gauze, draws a goal, brings the arm to its start.
-    fn begin(&mut self, world: &mut World, rng: &mut Rng) {
-        if let Some(pad) = &mut self.pad {
-            pad.vary(world, rng);
-            self.arm.give(pad.depth());
-        }
-        if self.narrow {
+    fn lay(&mut self, narrow: bool, world: &mut World, rng: &mut Rng) {
+        if narrow {
             self.gauze.lay_near_the_middle(world, rng);
         } else {
             self.gauze.lay_anywhere(world, rng);
         }
-        if let Some(pad) = &self.pad {
-            pad.bear(world, self.gauze.body());
-        }
-        self.grasp.reset(world, self.gauze.body());
-        self.goal = self.draw_goal(rng);
-        self.arm.reset(world, rng);
     }
 
-    fn draw_goal(&self, rng: &mut Rng) -> Vector3<f64> {
-        if self.narrow {
-            objects::goal_near_the_middle(GOAL_SPREAD, GOAL_HEIGHT, rng)
-        } else {
-            objects::goal_anywhere(gauze::rim() + LOWEST_GOAL, rng)
-        }
+    fn place(&self, world: &World) -> Pose {
+        world.pose(self.body()) * Pose::from(self.gauze.crest())
     }
 
-    /// What is to be done now.
-    fn pick(&self, world: &World, input: &ExpertInput<'_>) -> Pick {
-        let gauze = input.pose(world, self.gauze.body());
+    fn carried(&self, world: &World) -> Vector3<f64> {
+        world.pose(self.body()).translation.vector
+    }
+
+    fn is_lifted(&self, world: &World) -> bool {
+        self.carried(world).z > self.floor + WELD_LIFT
+    }
+
+    fn grasp(
+        &self,
+        world: &World,
+        pad: Option<&Pad>,
+        _: &Pose,
+        input: &ExpertInput<'_>,
+    ) -> (Pose, f64) {
+        let gauze = input.pose(world, self.body());
         let tip = gauze * Pose::translation(0.0, 0.0, self.gauze.sheet() + GRASP_CLEARANCE);
         let wrist = tip.translation.vector + Vector3::z() * TIP_OFFSET;
-        let grasp = Pose::from_parts(wrist.into(), psm_scene::down());
-        let carried = gauze.translation.vector;
         // Fingers that press on the sheet while they close stay in touch with it.
-        let press = self.pad.as_ref().map_or(0.0, Pad::depth);
-        Pick { object: self.gauze.body(), grasp, press, carried, goal: self.goal }
+        (Pose::from_parts(wrist.into(), psm_scene::down()), pad.map_or(0.0, Pad::depth))
+    }
+
+    fn draw(&self, world: &World, pad: Option<&Pad>, scene: &mut Scene) {
+        if let Some(pad) = pad {
+            pad.draw(world, scene);
+        }
+        self.gauze.draw(world, scene);
     }
 }

@@ -64,6 +64,7 @@ pub mod peg_expert;
 pub mod peg_transfer;
 pub mod perception;
 pub mod pick;
+pub mod picking;
 pub(crate) mod proprioception;
 pub mod psm_scene;
 pub mod rate;

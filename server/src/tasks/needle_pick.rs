@@ -33,7 +33,7 @@
 //! | 5 | yaw; π/2 at the start | −π | π | rad |
 //! | 6 | jaw angle: the opening between the fingers | −0.1 | 1.6 | rad |
 //! | 7–9 | needle x, y, z (centre of its arc), scene frame | 0.292, −0.268, 0.6 | 0.708, 0.268, 0.9 | m |
-//! | 10–12 | needle less wrist x, y, z, scene frame | −0.313, −0.323, −0.1732 | 0.213, 0.323, 0.2158 | m |
+//! | 10–12 | needle less wrist x, y, z, scene frame | −0.313, −0.323, −0.1722 | 0.213, 0.323, 0.2158 | m |
 //! | 13–15 | middle of the arc x, y, z, scene frame | 0.292, −0.268, 0.6 | 0.708, 0.268, 0.9 | m |
 //! | 16–18 | roll, pitch, yaw of the needle at its middle | −π, −π/2, −π | π, π/2, π | rad |
 //!
@@ -101,24 +101,16 @@
 
 use nalgebra::Vector3;
 use trocar_proto::builtin::{self, TaskInfo};
-use trocar_proto::relative::Relative;
-use trocar_proto::spec::{Element, GoalSpec, OptionSpec};
-use trocar_proto::{Options, Rejection, Stage};
 
-use super::expert::{ArmView, ExpertInput};
-use super::objects;
-use super::options::{self, Preset};
+use super::expert::ExpertInput;
+use super::options::{Domain, Preset};
 use super::pad::Pad;
-use super::pick::{self, Pick};
-use super::psm_scene::{self, PaperAction, PsmArm, Station, Turn, WORKSPACE};
-use super::relative::{Grasping, Grip};
-use super::start::{self, Start};
-use super::theatre;
+use super::pick;
+use super::picking::{Pickable, Picking};
+use super::psm_scene::Turn;
 use super::tray::{self, Needle};
-use super::{Arms, Registered, State, Task};
 use crate::render::Scene;
 use crate::sim::frames::Pose;
-use crate::sim::grasp::Grasp;
 use crate::sim::instrument::TIP_OFFSET;
 use crate::sim::random::Rng;
 use crate::sim::world::{BodyId, World};
@@ -134,199 +126,89 @@ const PRESS: f64 = 2e-3;
 /// `grasp = "weld"`, m. Source: the original, which takes 5 mm from where it lay.
 const WELD_LIFT: f64 = 0.0055;
 
-/// Spread of goals under `spawn = "narrow"`, m. Source: the original.
-const GOAL_SPREAD: f64 = 0.01;
-
-/// Height of goals under `spawn = "narrow"`, m. Source: the original.
-const GOAL_HEIGHT: f64 = 0.7152;
-
 /// Height of the lowest goal over the pad, m: above the tray's rim, which a needle that is held at
 /// its middle would otherwise meet.
 const LOWEST_GOAL: f64 = 0.02;
 
 /// The task; see the module's description.
-#[derive(Debug, Clone)]
-pub struct NeedlePick {
-    arm: PsmArm,
-    pad: Pad,
-    needle: Needle,
-    grasp: Grasp,
-    start: Start,
-    narrow: bool,
-    preset: Preset,
-    goal: Vector3<f64>,
-}
+pub type NeedlePick = Picking<Needle>;
 
-impl Registered for NeedlePick {
+impl Pickable for Needle {
     const INFO: TaskInfo = builtin::NEEDLE_PICK;
+    const PAPER: Turn = Turn::Vertical;
     const CONSTANT_UNDER_PAPER: &'static [&'static str] = &["wrist link roll", "wrist link pitch"];
+    const NAMES: [&'static str; 2] = ["needle", "mid arc"];
+    const CARRIED: &'static str = "mid arc";
+    const SIZE: [f64; 2] = Needle::SIZE;
+    const NARROW_GOALS: [f64; 2] = [0.01, 0.7152]; // source: the original
 
-    fn options() -> Vec<OptionSpec> {
-        let own = [options::spawn(), start::option()];
-        objects::options(1, Needle::SIZE, own, options::pad_rows())
-    }
-
-    fn new(options: &Options) -> Result<(Self, World), Rejection> {
-        let preset = options::preset_of(options);
-        let domain = options::Domain::of(options)?;
+    fn furnish(preset: Preset, domain: Domain) -> (World, Option<Pad>, Self) {
         let (mut world, pad) = tray::padded_world(preset, domain);
         let needle = Needle::insert(&mut world, preset, domain);
-        let paper = PaperAction { turn: Turn::Vertical, jaw: true };
-        let start = [WORKSPACE.min.x, WORKSPACE.max.y, WORKSPACE.centre().z + TIP_OFFSET];
-        let station = Station::psm1(start, tray::pad().max.z);
-        let grasp = Grasp::new(&mut world, options::grasp_of(options), needle.body());
-        let task = Self {
-            arm: PsmArm::insert(&mut world, options, paper, station)?,
-            pad,
-            needle,
-            grasp,
-            start: Start::of(options),
-            narrow: options.text("spawn") == Some("narrow"),
-            preset,
-            goal: Vector3::zeros(),
-        };
-        Ok((task, world))
-    }
-}
-
-impl Task for NeedlePick {
-    fn action(&self) -> Vec<Element> {
-        self.arm.action_elements()
+        (world, Some(pad), needle)
     }
 
-    fn goal(&self) -> Option<GoalSpec> {
-        Some(objects::goal_spec("mid arc", self.preset))
+    fn body(&self) -> BodyId {
+        Needle::body(self)
     }
 
-    fn relative(&self, _: &[Element]) -> Relative {
-        let grasping = Grasping {
-            arms: [&self.arm],
-            object: "needle",
-            places: ["mid arc"],
-            grips: [vec![Grip::at(0, "mid arc")]],
-            level: None,
-            preset: self.preset,
-        };
-        grasping.features()
+    fn support(&self) -> f64 {
+        tray::pad().max.z
     }
 
-    fn begins_prepared(&self) -> bool {
-        self.start != Start::Reset
+    fn lowest_goal() -> f64 {
+        tray::pad().max.z + LOWEST_GOAL
     }
 
-    fn prepare(&mut self, world: &mut World, rng: &mut Rng) {
-        start::bring_about(self, world, rng, self.arm.rate(), Self::begin, |task, world| {
-            let wrist = task.arm.scene_from_wrist();
-            task.pick(world, wrist, &ExpertInput::default()).progress(&task.arm, world)
-                >= task.start
-        });
-    }
-
-    fn reset(&mut self, world: &mut World, rng: &mut Rng) {
-        if self.begins_prepared() {
-            self.goal = self.draw_goal(rng);
+    fn lay(&mut self, narrow: bool, world: &mut World, rng: &mut Rng) {
+        if narrow {
+            self.lay_near_the_middle(world, rng);
         } else {
-            self.begin(world, rng);
+            self.lay_anywhere(world, rng);
         }
     }
 
-    fn objects(&self) -> Vec<(&'static str, BodyId)> {
-        vec![("needle", self.needle.body())]
+    fn place(&self, world: &World) -> Pose {
+        self.scene_from_middle(world)
     }
 
-    fn set_goal(&mut self, goal: &Vector3<f64>) -> Result<(), Rejection> {
-        self.arm.check_goal(goal)?;
-        self.goal = *goal;
-        Ok(())
+    fn carried(&self, world: &World) -> Vector3<f64> {
+        self.scene_from_middle(world).translation.vector
     }
 
-    fn command(&mut self, world: &mut World, action: Option<&[f32]>) {
-        psm_scene::command([&mut self.arm], world, &mut self.grasp, action);
+    fn is_lifted(&self, world: &World) -> bool {
+        self.scene_from_middle(world).translation.z > tray::pad().max.z + WELD_LIFT
     }
 
-    fn arms(&mut self) -> Arms<'_> {
-        [&mut self.arm].into_iter().collect()
-    }
-
-    fn after_step(&mut self, world: &mut World) {
-        let height = self.needle.scene_from_middle(world).translation.z;
-        let is_lifted = height > tray::pad().max.z + WELD_LIFT;
-        psm_scene::settle([&mut self.arm], world, &mut self.grasp, is_lifted);
-    }
-
-    fn state(&self, world: &World, state: &mut State<'_>) {
-        self.arm.state(world, state);
-        let needle = ("needle", &world.pose(self.needle.body()));
-        let middle = ("mid arc", &self.needle.scene_from_middle(world));
-        objects::state(needle, middle, self.arm.scene_from_wrist(), self.preset, state);
-    }
-
-    fn goals(&self, world: &World, achieved: &mut [f32], desired: &mut [f32]) {
-        let middle = self.needle.scene_from_middle(world).translation.vector;
-        objects::write_goal(&middle, self.preset, achieved);
-        objects::write_goal(&self.goal, self.preset, desired);
-    }
-
-    fn scene(&self, world: &World, scene: &mut Scene) {
-        theatre::draw(scene, self.arm.model());
-        tray::draw_tray(scene);
-        self.pad.draw(world, scene);
-        self.needle.draw(world, scene);
-        self.arm.draw(world, scene);
-        scene.add_goal(&self.goal, theatre::GOAL_RADIUS);
-    }
-
-    fn expert(&self, world: &World, input: &ExpertInput<'_>, action: &mut [f32]) {
-        let [view] = ArmView::of([&self.arm], world, input);
-        self.pick(world, &view.aim, input).act(&view, world, input, action);
-    }
-
-    fn stage(&self, world: &World, input: &ExpertInput<'_>) -> Stage {
-        let [view] = ArmView::of([&self.arm], world, input);
-        self.pick(world, &view.aim, input).stage(&view, world, input)
-    }
-}
-
-impl NeedlePick {
-    /// Lays the needle, draws a goal, brings the arm to its start.
-    fn begin(&mut self, world: &mut World, rng: &mut Rng) {
-        self.pad.vary(world, rng);
-        if self.narrow {
-            self.needle.lay_near_the_middle(world, rng);
-        } else {
-            self.needle.lay_anywhere(world, rng);
-        }
-        self.pad.bear(world, self.needle.body());
-        self.grasp.reset(world, self.needle.body());
-        self.goal = self.draw_goal(rng);
-        self.arm.give(self.pad.depth());
-        self.arm.reset(world, rng);
-    }
-
-    fn draw_goal(&self, rng: &mut Rng) -> Vector3<f64> {
-        if self.narrow {
-            objects::goal_near_the_middle(GOAL_SPREAD, GOAL_HEIGHT, rng)
-        } else {
-            objects::goal_anywhere(tray::pad().max.z + LOWEST_GOAL, rng)
-        }
-    }
-
-    /// What is to be done now by an arm with its wrist at `wrist`.
-    fn pick(&self, world: &World, wrist: &Pose, input: &ExpertInput<'_>) -> Pick {
-        let middle = Pose::from(input.position_error) * self.needle.scene_from_middle(world);
-        let carried = middle.translation.vector;
+    fn grasp(
+        &self,
+        world: &World,
+        _: Option<&Pad>,
+        wrist: &Pose,
+        input: &ExpertInput<'_>,
+    ) -> (Pose, f64) {
+        let middle = Pose::from(input.position_error) * self.scene_from_middle(world);
         let wire = middle.rotation * Vector3::y();
-        let at = carried + Vector3::z() * (TIP_OFFSET - GRASP_DEPTH * self.needle.form().size());
-        let rotation = pick::jaws_across(&wire, wrist);
-        let grasp = Pose::from_parts(at.into(), rotation);
-        Pick { object: self.needle.body(), grasp, press: PRESS, carried, goal: self.goal }
+        let above = Vector3::z() * (TIP_OFFSET - GRASP_DEPTH * self.form().size());
+        let at = middle.translation.vector + above;
+        (Pose::from_parts(at.into(), pick::jaws_across(&wire, wrist)), PRESS)
+    }
+
+    fn draw(&self, world: &World, pad: Option<&Pad>, scene: &mut Scene) {
+        tray::draw_tray(scene);
+        if let Some(pad) = pad {
+            pad.draw(world, scene);
+        }
+        Needle::draw(self, world, scene);
     }
 }
 
 #[cfg(test)]
 mod tests {
+    use trocar_proto::Options;
+
     use super::*;
-    use crate::tasks::time;
+    use crate::tasks::{Registered, Task, objects, time};
 
     /// Lets the expert work for `steps` steps on what it is told.
     fn work(task: &mut NeedlePick, world: &mut World, input: &ExpertInput<'_>, steps: u32) {
@@ -346,7 +228,7 @@ mod tests {
     }
 
     fn is_there(task: &NeedlePick, world: &World) -> bool {
-        let middle = task.needle.scene_from_middle(world).translation.vector;
+        let middle = task.object.scene_from_middle(world).translation.vector;
         (middle - task.goal).norm() < objects::TOLERANCE
     }
 
@@ -369,16 +251,16 @@ mod tests {
         for seed in 0..4 {
             let (mut task, mut world) = episode(seed);
             let mut taken = 0;
-            while taken == 0 || !task.arm.holds(&world, task.needle.body()) {
+            while taken == 0 || !task.arm.holds(&world, task.object.body()) {
                 work(&mut task, &mut world, &input, 1);
                 taken += 1;
                 assert!(taken < NeedlePick::INFO.steps);
             }
             // Out of the jaws, and a little farther.
-            let lying = world.pose(task.needle.body());
-            task.needle.lay_near_the_middle(&mut world, &mut Rng::new(seed, 1));
+            let lying = world.pose(task.object.body());
+            task.object.lay_near_the_middle(&mut world, &mut Rng::new(seed, 1));
             assert!(
-                (world.pose(task.needle.body()).translation.vector - lying.translation.vector)
+                (world.pose(task.object.body()).translation.vector - lying.translation.vector)
                     .norm()
                     > 1e-3
             );

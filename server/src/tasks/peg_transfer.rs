@@ -33,7 +33,7 @@
 //! | 5 | yaw; π/2 at the start | −π | π | rad |
 //! | 6 | jaw angle: the opening between the fingers | −0.1 | 1.6 | rad |
 //! | 7–9 | block x, y, z (its centre), scene frame | 0.292, −0.268, 0.6 | 0.708, 0.268, 0.9 | m |
-//! | 10–12 | block less wrist x, y, z, scene frame | −0.313, −0.323, −0.1732 | 0.213, 0.323, 0.2158 | m |
+//! | 10–12 | block less wrist x, y, z, scene frame | −0.313, −0.323, −0.1722 | 0.213, 0.323, 0.2158 | m |
 //! | 13–15 | middle of the block's wall 1 x, y, z, scene frame | 0.292, −0.268, 0.6 | 0.708, 0.268, 0.9 | m |
 //! | 16–18 | roll, pitch, yaw of that wall | −π, −π/2, −π | π, π/2, π | rad |
 //!

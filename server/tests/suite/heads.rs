@@ -25,7 +25,8 @@ fn rows(task: &str, heading: &str) -> Vec<Row> {
         file.extend(letter.to_lowercase());
     }
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("src/tasks/{file}.rs"));
-    let text = std::fs::read_to_string(&path).unwrap_or_else(|error| panic!("{path:?}: {error}"));
+    let text = std::fs::read_to_string(&path)
+        .unwrap_or_else(|error| panic!("{}: {error}", path.display()));
     let section = text.split(&format!("//! # {heading}\n")).nth(1).unwrap();
     let section = section.split("//! # ").next().unwrap();
     let table = section.lines().filter_map(|line| line.strip_prefix("//! | "));

@@ -1,0 +1,256 @@
+//! Tasks in which one arm picks up an object that lies in the tray and brings it to a goal.
+//!
+//! What such tasks have in common is [`Picking`]; what is special about one is its object, a [`Pickable`].
+
+use nalgebra::Vector3;
+use trocar_proto::builtin::TaskInfo;
+use trocar_proto::relative::Relative;
+use trocar_proto::spec::{Element, GoalSpec, OptionSpec};
+use trocar_proto::{Options, Rejection, Stage};
+
+use super::expert::{ArmView, ExpertInput};
+use super::objects;
+use super::options::{self, Domain, Preset};
+use super::pad::Pad;
+use super::pick::Pick;
+use super::psm_scene::{self, PaperAction, PsmArm, Station, Turn, WORKSPACE};
+use super::relative::{Grasping, Grip};
+use super::start::{self, Start};
+use super::theatre;
+use super::{Arms, Registered, State, Task};
+use crate::render::Scene;
+use crate::sim::frames::Pose;
+use crate::sim::grasp::Grasp;
+use crate::sim::instrument::TIP_OFFSET;
+use crate::sim::random::Rng;
+use crate::sim::world::{BodyId, World};
+
+/// An object that is picked up.
+pub trait Pickable: Clone + Send + Sync + 'static {
+    /// What is fixed of its task.
+    const INFO: TaskInfo;
+
+    /// What `action = "paper"` turns.
+    const PAPER: Turn;
+
+    /// Fields of the state that nothing changes as long as actions are the paper's.
+    const CONSTANT_UNDER_PAPER: &'static [&'static str];
+
+    /// What the state calls it, and the place at which it is grasped.
+    const NAMES: [&'static str; 2];
+
+    /// What of it is brought to the goal, as the goal calls it.
+    const CARRIED: &'static str;
+
+    /// The least and the greatest factor on its lengths.
+    const SIZE: [f64; 2];
+
+    /// Spread and height of goals under `spawn = "narrow"`, m.
+    const NARROW_GOALS: [f64; 2];
+
+    /// The world in which it lies, with it; and the pad under it, where there is one.
+    fn furnish(preset: Preset, domain: Domain) -> (World, Option<Pad>, Self);
+
+    /// Its body.
+    fn body(&self) -> BodyId;
+
+    /// Height of what lies under it, m.
+    fn support(&self) -> f64;
+
+    /// The lowest height of goals, m.
+    fn lowest_goal() -> f64;
+
+    /// Lays it at the beginning of an episode: anywhere, or `narrow`, near the middle.
+    fn lay(&mut self, narrow: bool, world: &mut World, rng: &mut Rng);
+
+    /// The place at which it is grasped.
+    fn place(&self, world: &World) -> Pose;
+
+    /// What is brought to the goal, m.
+    fn carried(&self, world: &World) -> Vector3<f64>;
+
+    /// Whether a tie may hold it under `grasp = "weld"`.
+    fn is_lifted(&self, world: &World) -> bool;
+
+    /// The wrist that grasps it, for an arm with its wrist at `wrist`; and how far below that the wrist is sent, m.
+    fn grasp(
+        &self,
+        world: &World,
+        pad: Option<&Pad>,
+        wrist: &Pose,
+        input: &ExpertInput<'_>,
+    ) -> (Pose, f64);
+
+    /// Draws it, and the tray with what it has besides the pad.
+    fn draw(&self, world: &World, pad: Option<&Pad>, scene: &mut Scene);
+}
+
+/// The task of picking up an object.
+#[derive(Debug, Clone)]
+pub struct Picking<O> {
+    pub(super) arm: PsmArm,
+    pad: Option<Pad>,
+    pub(super) object: O,
+    grasp: Grasp,
+    start: Start,
+    narrow: bool,
+    preset: Preset,
+    pub(super) goal: Vector3<f64>,
+}
+
+impl<O: Pickable> Registered for Picking<O> {
+    const INFO: TaskInfo = O::INFO;
+    const CONSTANT_UNDER_PAPER: &'static [&'static str] = O::CONSTANT_UNDER_PAPER;
+
+    fn options() -> Vec<OptionSpec> {
+        objects::options(1, O::SIZE, [options::spawn(), start::option()], options::pad_rows())
+    }
+
+    fn new(options: &Options) -> Result<(Self, World), Rejection> {
+        let preset = options::preset_of(options);
+        let (mut world, pad, object) = O::furnish(preset, Domain::of(options)?);
+        let paper = PaperAction { turn: O::PAPER, jaw: true };
+        let start = [WORKSPACE.min.x, WORKSPACE.max.y, WORKSPACE.centre().z + TIP_OFFSET];
+        let station = Station::psm1(start, object.support());
+        let grasp = Grasp::new(&mut world, options::grasp_of(options), object.body());
+        let task = Self {
+            arm: PsmArm::insert(&mut world, options, paper, station)?,
+            pad,
+            object,
+            grasp,
+            start: Start::of(options),
+            narrow: options.text("spawn") == Some("narrow"),
+            preset,
+            goal: Vector3::zeros(),
+        };
+        Ok((task, world))
+    }
+}
+
+impl<O: Pickable> Task for Picking<O> {
+    fn action(&self) -> Vec<Element> {
+        self.arm.action_elements()
+    }
+
+    fn goal(&self) -> Option<GoalSpec> {
+        Some(objects::goal_spec(O::CARRIED, self.preset))
+    }
+
+    fn relative(&self, _: &[Element]) -> Relative {
+        let [object, place] = O::NAMES;
+        let grasping = Grasping {
+            arms: [&self.arm],
+            object,
+            places: [place],
+            grips: [vec![Grip::at(0, place)]],
+            level: None,
+            preset: self.preset,
+        };
+        grasping.features()
+    }
+
+    fn begins_prepared(&self) -> bool {
+        self.start != Start::Reset
+    }
+
+    fn prepare(&mut self, world: &mut World, rng: &mut Rng) {
+        start::bring_about(self, world, rng, self.arm.rate(), Self::begin, |task, world| {
+            let wrist = task.arm.scene_from_wrist();
+            let pick = task.pick(world, wrist, &ExpertInput::default());
+            pick.progress(&task.arm, world) >= task.start
+        });
+    }
+
+    fn reset(&mut self, world: &mut World, rng: &mut Rng) {
+        if self.begins_prepared() {
+            self.goal = self.draw_goal(rng);
+        } else {
+            self.begin(world, rng);
+        }
+    }
+
+    fn objects(&self) -> Vec<(&'static str, BodyId)> {
+        vec![(O::NAMES[0], self.object.body())]
+    }
+
+    fn set_goal(&mut self, goal: &Vector3<f64>) -> Result<(), Rejection> {
+        self.arm.check_goal(goal)?;
+        self.goal = *goal;
+        Ok(())
+    }
+
+    fn command(&mut self, world: &mut World, action: Option<&[f32]>) {
+        psm_scene::command([&mut self.arm], world, &mut self.grasp, action);
+    }
+
+    fn arms(&mut self) -> Arms<'_> {
+        [&mut self.arm].into_iter().collect()
+    }
+
+    fn after_step(&mut self, world: &mut World) {
+        let is_lifted = self.object.is_lifted(world);
+        psm_scene::settle([&mut self.arm], world, &mut self.grasp, is_lifted);
+    }
+
+    fn state(&self, world: &World, state: &mut State<'_>) {
+        self.arm.state(world, state);
+        let object = (O::NAMES[0], &world.pose(self.object.body()));
+        let place = (O::NAMES[1], &self.object.place(world));
+        objects::state(object, place, self.arm.scene_from_wrist(), self.preset, state);
+    }
+
+    fn goals(&self, world: &World, achieved: &mut [f32], desired: &mut [f32]) {
+        objects::write_goal(&self.object.carried(world), self.preset, achieved);
+        objects::write_goal(&self.goal, self.preset, desired);
+    }
+
+    fn scene(&self, world: &World, scene: &mut Scene) {
+        theatre::draw(scene, self.arm.model());
+        self.object.draw(world, self.pad.as_ref(), scene);
+        self.arm.draw(world, scene);
+        scene.add_goal(&self.goal, theatre::GOAL_RADIUS);
+    }
+
+    fn expert(&self, world: &World, input: &ExpertInput<'_>, action: &mut [f32]) {
+        let [view] = ArmView::of([&self.arm], world, input);
+        self.pick(world, &view.aim, input).act(&view, world, input, action);
+    }
+
+    fn stage(&self, world: &World, input: &ExpertInput<'_>) -> Stage {
+        let [view] = ArmView::of([&self.arm], world, input);
+        self.pick(world, &view.aim, input).stage(&view, world, input)
+    }
+}
+
+impl<O: Pickable> Picking<O> {
+    /// Lays the object, draws a goal, brings the arm to its start.
+    fn begin(&mut self, world: &mut World, rng: &mut Rng) {
+        if let Some(pad) = &mut self.pad {
+            pad.vary(world, rng);
+            self.arm.give(pad.depth());
+        }
+        self.object.lay(self.narrow, world, rng);
+        if let Some(pad) = &self.pad {
+            pad.bear(world, self.object.body());
+        }
+        self.grasp.reset(world, self.object.body());
+        self.goal = self.draw_goal(rng);
+        self.arm.reset(world, rng);
+    }
+
+    fn draw_goal(&self, rng: &mut Rng) -> Vector3<f64> {
+        let [spread, height] = O::NARROW_GOALS;
+        if self.narrow {
+            objects::goal_near_the_middle(spread, height, rng)
+        } else {
+            objects::goal_anywhere(O::lowest_goal(), rng)
+        }
+    }
+
+    /// What is to be done now by an arm with its wrist at `wrist`.
+    fn pick(&self, world: &World, wrist: &Pose, input: &ExpertInput<'_>) -> Pick {
+        let (grasp, press) = self.object.grasp(world, self.pad.as_ref(), wrist, input);
+        let carried = self.object.carried(world) + input.position_error;
+        Pick { object: self.object.body(), grasp, press, carried, goal: self.goal }
+    }
+}
