@@ -254,6 +254,35 @@ fn rewards_and_success_are_those_of_the_goals_bit_by_bit() {
 }
 
 #[test]
+fn a_tolerance_makes_success_easier_or_harder_and_rewards_follow() {
+    let mut easier = 0;
+    for id in Registry::builtin().ids() {
+        let with = |factor: f64| Options::new().with("tolerance", OptionValue::Number(factor));
+        let Some(goal) = Registry::builtin().spec(id, &Options::new()).unwrap().goal else {
+            assert!(Registry::builtin().spec(id, &with(2.0)).is_err(), "{id} has no goal");
+            continue;
+        };
+        let [mut wide, mut narrow] = [10.0, 0.1].map(|factor| make(&(id.into(), with(factor))));
+        for env in [&mut wide, &mut narrow] {
+            env.reset(Some(3));
+        }
+        while !wide.needs_reset() {
+            let action = Seen::of(&wide).expert;
+            let [one, other] = [&mut wide, &mut narrow].map(|env| env.step(&action).unwrap());
+            let Seen { achieved, desired, .. } = Seen::of(&wide);
+            let nominal = goal.success.holds(&achieved, &desired);
+            assert!((one.is_success || !nominal) && (nominal || !other.is_success), "{id}");
+            for step in [one, other] {
+                let sparse: f32 = if step.is_success { 0.0 } else { -1.0 };
+                assert_eq!(step.reward.to_bits(), sparse.to_bits(), "{id}");
+            }
+            easier += u32::from(one.is_success && !other.is_success);
+        }
+    }
+    assert!(easier > 9, "steps that were near a goal, and not at it: {easier}");
+}
+
+#[test]
 fn episodes_are_truncated_at_their_time_limit_and_need_a_reset() {
     for id in Registry::builtin().ids() {
         let mut env = Registry::builtin().make(id, &Options::new()).unwrap();

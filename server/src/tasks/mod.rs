@@ -381,7 +381,10 @@ struct Made {
 impl Made {
     /// What it looks like; `given` are the options that were completed: defaults are those of its preset.
     fn spec(&mut self, given: &Options, imaging: Option<&Imaging>) -> TaskSpec {
-        let goal = self.task.goal();
+        let goal = self.task.goal().map(|goal| GoalSpec {
+            success: options::tolerated(goal.success, &self.options),
+            ..goal
+        });
         let goal_dim = goal.as_ref().map_or(0, |goal| goal.elements.len());
         let dims = [self.state.len(), goal_dim];
         let relative = Relative { dims, ..self.relative.clone() };

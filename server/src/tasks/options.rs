@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use trocar_proto::goal::Reward;
+use trocar_proto::goal::{Reward, SuccessRule};
 use trocar_proto::spec::{Allowed, Element, ImageKind, OptionSpec, OptionValue, RowSpec};
 use trocar_proto::{Code, Options, Rejection};
 
@@ -148,6 +148,32 @@ fn terminate() -> OptionSpec {
     )
 }
 
+/// `tolerance`: how near its goal success is.
+fn tolerance() -> OptionSpec {
+    OptionSpec {
+        name: "tolerance".into(),
+        summary: "Factor on the distances from the goal, and the angle, below which it counts as reached.".into(),
+        default: OptionValue::Number(1.0),
+        allowed: Allowed::Range { min: 0.1, max: 10.0 },
+    }
+}
+
+/// The rule of success that resolved options make of a task's own.
+pub(crate) fn tolerated(rule: SuccessRule, options: &Options) -> SuccessRule {
+    let factor = options.number("tolerance").unwrap_or(1.0) as f32;
+    match rule {
+        SuccessRule::Distance { tolerance } => {
+            SuccessRule::Distance { tolerance: tolerance * factor }
+        }
+        SuccessRule::Seated { horizontal, vertical } => {
+            SuccessRule::Seated { horizontal: horizontal * factor, vertical: vertical * factor }
+        }
+        SuccessRule::Centred { image, angle } => {
+            SuccessRule::Centred { image: image * factor, angle: angle * factor }
+        }
+    }
+}
+
 /// Whether resolved options let success end an episode.
 pub(crate) fn terminates_on_success(options: &Options) -> bool {
     options.text("terminate") == Some("success")
@@ -167,7 +193,7 @@ pub(super) fn with_common(mut known: Vec<OptionSpec>) -> Vec<OptionSpec> {
     let has = |name: &str| known.iter().any(|option| option.name == name);
     let (has_goal, grasps) = (has("reward"), has("grasp"));
     if has_goal {
-        known.push(terminate());
+        known.extend([terminate(), tolerance()]);
     }
     let Some(observation) = known.iter_mut().find(|option| option.name == "observation") else {
         return known;
