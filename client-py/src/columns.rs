@@ -56,31 +56,45 @@ macro_rules! if_told {
     ({$($role:ident)?}, $expert:ident, $then:ident!($($column:tt)*)) => {};
 }
 
-/// The kind of numbers that [`array`] gives, as NumPy names it.
+/// A column as an array of infos: numbers are Python's own, as Gymnasium makes arrays of single environments' infos.
+macro_rules! info_array {
+    ($reply:ident, $name:ident f32 One) => {{
+        let inner = $reply.get().inner();
+        PyArray1::from_iter($reply.py(), inner.$name().iter().copied().map(f64::from)).into_any()
+    }};
+    ($reply:ident, $($column:ident)*) => {
+        array!($reply, true, $($column)*)
+    };
+}
+
+/// The kind of numbers that [`info_array`] gives, as NumPy names it.
 macro_rules! dtype {
-    (Flag) => {
+    (Flag One) => {
         "bool"
     };
-    (u64) => {
+    (u64 One) => {
         "int64"
     };
-    (f32) => {
+    (f32 One) => {
+        "float64"
+    };
+    (f32 $width:ident) => {
         "float32"
     };
-    (u8) => {
+    (u8 One) => {
         "uint8"
     };
-    ($element:ident) => {
+    ($element:ident $width:ident) => {
         concat!(stringify!($element), " is told in no info")
     };
 }
 
 /// What there is to know of a column that infos have.
 macro_rules! info {
-    ({$role:ident $key:ident} $name:ident $element:ident) => {
-        Some((stringify!($role), stringify!($key), stringify!($name), dtype!($element)))
+    ({$role:ident $key:ident} $name:ident $element:ident $width:ident) => {
+        Some((stringify!($role), stringify!($key), stringify!($name), dtype!($element $width)))
     };
-    ({$($role:ident)?} $name:ident $element:ident) => {
+    ({$($role:ident)?} $name:ident $element:ident $width:ident) => {
         None
     };
 }
@@ -92,7 +106,7 @@ macro_rules! tell_all {
     ($key:ident, $reply:ident, $tell:ident, $($column:ident)*) => {{
         let key = intern!($reply.py(), stringify!($key));
         let mask = intern!($reply.py(), concat!("_", stringify!($key)));
-        $tell(key, mask, array!($reply, true, $($column)*))?;
+        $tell(key, mask, info_array!($reply, $($column)*))?;
     }};
 }
 
@@ -118,7 +132,7 @@ macro_rules! columns {
 
         /// The columns that infos have, in their order.
         pub(crate) fn all_infos() -> Vec<Info> {
-            [$(info!($role $name $element)),*].into_iter().flatten().collect()
+            [$(info!($role $name $element $width)),*].into_iter().flatten().collect()
         }
 
         /// Tells the columns that infos have: key, key of the mask, array. With `expert`, also the expert's.

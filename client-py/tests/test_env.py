@@ -106,7 +106,7 @@ def test_infos_tell_how_far_tips_go_and_how_hard_jaws_press(server: str) -> None
     for _ in range(50):
         infos = envs.step(infos["expert_action"])[-1]
         forces.append(infos["peak_force"])
-    assert forces[0].dtype == infos["tip_path"].dtype == np.float32
+    assert forces[0].dtype == infos["tip_path"].dtype == np.float64
     # Nothing is touched at first; in the end the needle hangs between fingers of 1 N each.
     assert not forces[0].any()
     assert (np.abs(forces[-1][infos["is_success"]] - 1.0) < 0.3).all()
