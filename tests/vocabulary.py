@@ -1,7 +1,7 @@
 """Looks for names that stand for something the field has another word for: `make lint` runs it.
 
-Types, functions, fields, modules, files and metrics are looked at, in Rust and Python. ARCHITECTURE.md's glossary has the
-words that stay.
+Types, functions, fields, modules, files and metrics are looked at, in Rust and Python.
+ARCHITECTURE.md's glossary has the words that stay.
 """
 
 import re
