@@ -8,7 +8,7 @@ use trocar_client::{Autoreset, Client, Options, SessionRequest};
 use trocar_proto::Rejection;
 use trocar_proto::builtin::TaskInfo;
 use trocar_proto::spec::{Element, OptionSpec};
-use trocar_server::env::recording::{self, Replay};
+use trocar_server::recording::{self, Replay};
 use trocar_server::service::{ServerConfig, StopSignal, serve};
 use trocar_server::sim::frames::{self, Pose};
 use trocar_server::sim::random::Rng;

@@ -7,11 +7,11 @@ use std::time::{Duration, Instant};
 
 use criterion::{BenchmarkId, Criterion, Throughput, criterion_group, criterion_main};
 use trocar_proto::Options;
+use trocar_server::Registry;
 use trocar_server::dvrk::{
     ArmController, Command, Homing, Pose, PoseMessage, StateCommand, TICK, TICKS_PER_SECOND,
 };
 use trocar_server::env::LiveWorld;
-use trocar_server::tasks::Registry;
 
 const ARM: &str = "PSM1";
 

@@ -10,8 +10,8 @@ use criterion::{BenchmarkId, Criterion, Throughput, criterion_group, criterion_m
 use rayon::prelude::*;
 use trocar_proto::Options;
 use trocar_server::Env;
+use trocar_server::Registry;
 use trocar_server::render::{Lens, Picture, Renderer, Scene, Software};
-use trocar_server::tasks::Registry;
 
 /// Width and height, as rates are named.
 const SIZES: [[usize; 2]; 4] = [[64, 64], [128, 128], [256, 256], [640, 480]];

@@ -8,9 +8,9 @@ use std::time::{Duration, Instant};
 
 use criterion::{BenchmarkId, Criterion, Throughput, criterion_group, criterion_main};
 use trocar_proto::Options;
+use trocar_server::Registry;
 use trocar_server::env::Env;
 use trocar_server::sim::random::Rng;
-use trocar_server::tasks::Registry;
 
 /// Steps in one measured batch: 20 episodes.
 const STEPS: u64 = 1000;

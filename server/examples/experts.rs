@@ -15,7 +15,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 
 use anyhow::{Context, bail};
 use trocar_proto::{OptionValue, Options};
-use trocar_server::tasks::Registry;
+use trocar_server::Registry;
 
 /// Tasks in which an object is grasped.
 const TASKS: [&str; 5] =

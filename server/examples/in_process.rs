@@ -10,9 +10,9 @@
 use std::ffi::{CStr, c_char};
 use std::slice::{from_raw_parts, from_raw_parts_mut};
 
+use trocar_server::Registry;
 use trocar_server::render::camera::extrinsics;
 use trocar_server::render::{Canvas, Lens, Renderer, Scene, Software, material};
-use trocar_server::tasks::Registry;
 use trocar_server::{Env, Step};
 
 /// Where what is seen goes: observation, achieved goal, desired goal.

@@ -2,7 +2,7 @@
 //!
 //! ```
 //! use trocar_proto::Options;
-//! use trocar_server::tasks::Registry;
+//! use trocar_server::Registry;
 //!
 //! let mut env = Registry::builtin().make("NeedleReach-v0", &Options::new())?;
 //! env.reset(Some(7));
@@ -45,7 +45,6 @@ mod imaging;
 mod live;
 mod passing;
 mod rebuild;
-pub mod recording;
 #[cfg(test)]
 #[expect(clippy::float_cmp, reason = "these results are exact")]
 mod tests;

@@ -6,9 +6,9 @@ use nalgebra::Vector3;
 use trocar_proto::Options;
 use trocar_proto::spec::OptionValue;
 use trocar_server::Env;
+use trocar_server::Registry;
 use trocar_server::render::Scene;
 use trocar_server::render::scene::Instance;
-use trocar_server::tasks::Registry;
 
 /// Parts of a step.
 const PARTS: u32 = 5;

@@ -17,7 +17,7 @@ use std::path::{Path, PathBuf};
 use rayon::prelude::*;
 use trocar_proto::Options;
 use trocar_proto::spec::{Allowed, OptionValue};
-use trocar_server::tasks::Registry;
+use trocar_server::Registry;
 
 use format::{Episode, HASHED, Mark, decode, encode, json_of};
 use player::Player;

@@ -4,8 +4,8 @@ use nalgebra::{Matrix3x4, Point3, Vector3, Vector4};
 use trocar_proto::spec::ImageSpec;
 use trocar_proto::{Code, OptionValue, Options};
 use trocar_server::Env;
+use trocar_server::Registry;
 use trocar_server::render::Lens;
-use trocar_server::tasks::Registry;
 
 const SIZE: [usize; 2] = [96, 128];
 

@@ -14,7 +14,7 @@ use std::path::{Path, PathBuf};
 use rayon::prelude::*;
 use trocar_proto::spec::{Allowed, OptionSpec};
 use trocar_proto::{OptionValue, Options, TaskSpec};
-use trocar_server::tasks::Registry;
+use trocar_server::Registry;
 
 /// The committed table, and its first line.
 const TABLE: &str = "tests/fixtures/experts.tsv";

@@ -11,8 +11,8 @@ use mutation::Mutator;
 use trocar_proto::control::ControlRequest;
 use trocar_proto::snapshot::{Recipe, fingerprint};
 use trocar_proto::{Options, Rejection};
+use trocar_server::Registry;
 use trocar_server::service::{Admission, Admitted, Footprint, ServerConfig, Usage};
-use trocar_server::tasks::Registry;
 
 /// Messages after which whatever is allocated once has been.
 const WARM_UP: usize = 10_000;

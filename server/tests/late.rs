@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use trocar_proto::spec::Allowed;
 use trocar_proto::{OptionValue, Options};
 use trocar_server::Env;
-use trocar_server::tasks::Registry;
+use trocar_server::Registry;
 
 fn domain(rows: &[(&str, f64)]) -> OptionValue {
     let rows = rows.iter().map(|(row, value)| ((*row).to_string(), vec![*value; 2]));

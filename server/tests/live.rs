@@ -2,13 +2,13 @@
 
 use nalgebra::{UnitQuaternion, Vector3};
 use trocar_proto::{OptionValue, Options};
+use trocar_server::Registry;
 use trocar_server::dvrk::{
     ArmController, Command, Homing, OperatingState, Pose, PoseMessage, State, StateCommand, TICK,
     What,
 };
 use trocar_server::env::{Env, LiveWorld};
 use trocar_server::sim::random::Rng;
-use trocar_server::tasks::Registry;
 
 const DEGREE: f64 = std::f64::consts::PI / 180.0;
 

@@ -7,6 +7,7 @@ use rayon::prelude::*;
 use trocar_proto::builtin::TaskInfo;
 use trocar_proto::spec::{Element, GoalSpec, OptionSpec};
 use trocar_proto::{OptionValue, Options, Rejection, Stage};
+use trocar_server::Registry;
 use trocar_server::render::Scene;
 use trocar_server::sim::frames::Aabb;
 use trocar_server::sim::random::Rng;
@@ -15,7 +16,7 @@ use trocar_server::tasks::expert::ExpertInput;
 use trocar_server::tasks::gauze_retrieve::GauzeRetrieve;
 use trocar_server::tasks::needle_pick::NeedlePick;
 use trocar_server::tasks::peg_transfer::PegTransfer;
-use trocar_server::tasks::{Arms, Registered, Registry, State, Task};
+use trocar_server::tasks::{Arms, Registered, State, Task};
 
 /// By how much an expert is wrong about heights at most, m.
 const WRONG: f64 = 1e-3;

@@ -4,8 +4,9 @@
 use rayon::prelude::*;
 use trocar_proto::{Code, OptionValue, Options};
 use trocar_server::Env;
+use trocar_server::Registry;
 use trocar_server::render::{Lens, Picture, Renderer, Software};
-use trocar_server::tasks::{Registry, perception};
+use trocar_server::tasks::perception;
 
 const TASKS: [&str; 2] = ["StaticTrack-v0", "ActiveTrack-v0"];
 

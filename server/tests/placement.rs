@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 
 use nalgebra::Vector3;
 use trocar_proto::{Code, Options, Placement, Rejection};
-use trocar_server::env::recording::{self, Recorder, Replay};
+use trocar_server::recording::{self, Recorder, Replay};
 use trocar_server::sim::frames::{self, Pose};
 use trocar_server::{Env, Registry};
 

@@ -3,8 +3,8 @@
 use std::collections::BTreeMap;
 
 use trocar_proto::{OptionValue, Options};
+use trocar_server::Registry;
 use trocar_server::env::Env;
-use trocar_server::tasks::Registry;
 
 /// Steps of an episode: enough for the expert to grasp.
 const STEPS: u32 = 25;

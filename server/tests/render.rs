@@ -9,9 +9,9 @@ use parry::shape::TriMesh;
 use rapier3d::parry;
 use trocar_proto::{OptionValue, Options};
 use trocar_server::Env;
+use trocar_server::Registry;
 use trocar_server::render::mesh::Mesh;
 use trocar_server::render::{Camera, Lens, Picture, Renderer, Scene, Software, Viewpoint};
-use trocar_server::tasks::Registry;
 
 const LENSES: [Lens; 4] = [Lens::Endoscope, Lens::Left, Lens::Right, Lens::Overview];
 

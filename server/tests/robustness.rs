@@ -8,9 +8,9 @@
 use std::collections::BTreeMap;
 
 use trocar_proto::Options;
+use trocar_server::Registry;
 use trocar_server::env::Excess;
 use trocar_server::sim::random::Rng;
-use trocar_server::tasks::Registry;
 
 /// Fastest that an object may become, m/s: ten times the instrument, and well below the 4 m/s to which
 /// the engine would clamp it.

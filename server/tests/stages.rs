@@ -1,7 +1,7 @@
 //! Experts say what they are about: the stages of each task, in the order in which they are gone through.
 
 use trocar_proto::{Options, Stage};
-use trocar_server::tasks::Registry;
+use trocar_server::Registry;
 
 /// Episodes of each task.
 const SEEDS: u64 = 12;

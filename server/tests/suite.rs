@@ -5,10 +5,11 @@ use std::collections::BTreeMap;
 use trocar_proto::snapshot::Recipe;
 use trocar_proto::spec::{Allowed, Element, OptionValue};
 use trocar_proto::{Code, Options, TaskSpec};
+use trocar_server::Registry;
 use trocar_server::env::{Env, Step};
 use trocar_server::error::StepError;
 use trocar_server::sim::random::Rng;
-use trocar_server::tasks::{Registry, builtin};
+use trocar_server::tasks::builtin;
 
 mod domain;
 mod heads;

@@ -5,6 +5,7 @@ use std::collections::BTreeMap;
 
 use nalgebra::UnitQuaternion;
 use trocar_proto::{OptionValue, Options, Stage};
+use trocar_server::Registry;
 use trocar_server::env::Env;
 use trocar_server::error::StepError;
 use trocar_server::render::Scene;
@@ -12,7 +13,6 @@ use trocar_server::sim::frames::Pose;
 use trocar_server::sim::instrument::Posture;
 use trocar_server::sim::motion::Profile;
 use trocar_server::sim::random::Rng;
-use trocar_server::tasks::Registry;
 
 fn make(id: &str, options: &Options) -> Env {
     Registry::builtin().make(id, options).unwrap()

@@ -20,7 +20,7 @@ use clap::{Args, ValueEnum};
 use indicatif::{ProgressBar, ProgressStyle};
 use serde::Serialize;
 use trocar_proto::Options;
-use trocar_server::tasks::Registry;
+use trocar_server::Registry;
 
 use crate::options::{self, Assignment};
 use crate::output;

@@ -12,7 +12,7 @@ use clap::{Args, ValueEnum};
 use serde_json::Value;
 use trocar_client::Client;
 use trocar_proto::Options;
-use trocar_server::tasks::Registry;
+use trocar_server::Registry;
 
 use crate::options::{self, Given};
 use crate::process::{PYTHON, python};

@@ -26,7 +26,7 @@ use anyhow::bail;
 use clap::Args;
 use trocar_proto::Options;
 use trocar_proto::endpoint::ServerName;
-use trocar_server::tasks::Registry;
+use trocar_server::Registry;
 
 use course::Course;
 

@@ -153,7 +153,7 @@ pub(crate) fn allowed_json(allowed: &Allowed) -> Value {
 
 #[cfg(test)]
 mod tests {
-    use trocar_server::tasks::Registry;
+    use trocar_server::Registry;
 
     use super::*;
 

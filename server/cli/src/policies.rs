@@ -176,7 +176,7 @@ fn row(card: &Card, task: &str) -> Vec<String> {
 #[cfg(test)]
 mod tests {
     use trocar_proto::Options;
-    use trocar_server::tasks::Registry;
+    use trocar_server::Registry;
 
     use super::*;
     use crate::policy::Chooser;

@@ -12,8 +12,8 @@ use indicatif::ProgressBar;
 use trocar_client::{CallError, Client, Code};
 use trocar_proto::seed;
 use trocar_proto::snapshot::{self, Recipe};
-use trocar_server::env::recording::{EVERY, Recorder};
-use trocar_server::tasks::Registry;
+use trocar_server::Registry;
+use trocar_server::recording::{EVERY, Recorder};
 
 use crate::exit::Exit;
 use crate::options::Given;

@@ -12,7 +12,7 @@ use anyhow::Context;
 use clap::Args;
 use trocar_proto::Options;
 use trocar_server::Env;
-use trocar_server::tasks::Registry;
+use trocar_server::Registry;
 
 use crate::exit::Exit;
 use crate::options::{self, Assignment};

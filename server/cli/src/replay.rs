@@ -8,9 +8,9 @@ use std::time::Duration;
 use anyhow::Context;
 use clap::Args;
 use serde::Serialize;
-use trocar_server::env::recording::{self, Course, Replay as Replaying};
+use trocar_server::Registry;
+use trocar_server::recording::{self, Course, Replay as Replaying};
 use trocar_server::service::StopSignal;
-use trocar_server::tasks::Registry;
 use trocar_server::view::View;
 use trocar_server::view::replay_source::ReplaySource;
 

@@ -14,7 +14,7 @@ use serde::Serialize;
 use serde_json::Value;
 use trocar_client::Client;
 use trocar_proto::{Options, TaskSpec, seed};
-use trocar_server::tasks::Registry;
+use trocar_server::Registry;
 
 use crate::options::{self, Assignment, Given};
 use crate::output;

@@ -6,8 +6,8 @@ use std::time::Duration;
 
 use clap::Args;
 use trocar_proto::endpoint::ServerName;
+use trocar_server::Registry;
 use trocar_server::service::{Cpus, Quota, ServerConfig, StopSignal, serve};
-use trocar_server::tasks::Registry;
 
 use crate::inherited;
 use crate::logging::Logging;

@@ -4,7 +4,7 @@ use clap::Args;
 use serde::Serialize;
 use serde_json::{Map, Value, json};
 use trocar_proto::{Options, TaskSpec};
-use trocar_server::tasks::Registry;
+use trocar_server::Registry;
 
 use crate::{options, output};
 

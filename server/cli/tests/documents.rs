@@ -4,7 +4,7 @@ use std::path::Path;
 use std::process::Command;
 
 use trocar_proto::Options;
-use trocar_server::tasks::Registry;
+use trocar_server::Registry;
 
 const RUST: &str = include_str!("../../../docs/rust.md");
 const TASKS: &str = include_str!("../../../docs/tasks.md");

@@ -6,7 +6,7 @@
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-use trocar_server::tasks::Registry;
+use trocar_server::Registry;
 
 /// How far a channel of a pixel may be off, of 255: elementary functions and shading may round otherwise on
 /// another machine, and an edge may fall on the other side of a sample.

@@ -53,7 +53,7 @@ impl Env {
     }
 
     /// A number that stands for every bit of what is seen and of what the objects do.
-    pub(super) fn fingerprint(&self) -> u64 {
+    pub(crate) fn fingerprint(&self) -> u64 {
         let (dim, goal) = (self.spec.observation_dim(), self.spec.goal_dim());
         let mut seen = vec![0.0; dim + 2 * goal];
         let (observation, goals) = seen.split_at_mut(dim);

@@ -5,9 +5,10 @@ use trocar_proto::builtin::TaskInfo;
 use trocar_proto::spec::{Element, OptionSpec};
 
 use super::*;
+use crate::registry::Registry;
 use crate::sim::world::Solver;
 use crate::tasks::expert::ExpertInput;
-use crate::tasks::{Registered, Registry, Task};
+use crate::tasks::{Registered, Task};
 
 /// A task whose observation leaves its range when the action is 0.75, and is no number when it is 1.
 #[derive(Clone)]

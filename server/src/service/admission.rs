@@ -12,7 +12,7 @@ use trocar_proto::{Code, PROTOCOL_VERSION, Rejection, TaskSpec};
 
 use super::ports::REPLIES;
 use super::{ServeError, ServerConfig};
-use crate::tasks::Registry;
+use crate::registry::Registry;
 
 /// A control message that may be answered.
 #[derive(Debug, Clone, PartialEq)]

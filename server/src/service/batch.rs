@@ -12,8 +12,8 @@ use super::rows::Rows;
 use super::scheduler::{Quantum, Splittable};
 use crate::env::{Env, Imaging, Rebuild, Step};
 use crate::error::StepError;
+use crate::registry::Registry;
 use crate::render::Scene;
-use crate::tasks::Registry;
 
 /// N environments of one task.
 pub(crate) struct Batch {

@@ -34,7 +34,7 @@ use super::store::Ledger;
 use super::watch::WatchRegistry;
 use super::{ServeError, ServerConfig, StopSignal, internal};
 use crate::clock::thread_time;
-use crate::tasks::Registry;
+use crate::registry::Registry;
 use crate::view::View;
 use crate::view::source::About;
 

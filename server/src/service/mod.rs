@@ -58,7 +58,7 @@ use trocar_proto::notify::reply_event::ReplyEvent;
 use trocar_proto::{Code, Rejection};
 
 use self::unfinished::Remover;
-use crate::tasks::Registry;
+use crate::registry::Registry;
 
 pub use admission::{Admission, Admitted, Footprint, Holding, Quota, Usage};
 pub use cpus::Cpus;

@@ -11,7 +11,7 @@ use std::time::{Duration, Instant};
 use trocar_proto::{Code, Rejection};
 
 use crate::env::Env;
-use crate::env::recording::Recorder;
+use crate::recording::Recorder;
 
 /// Most recordings of failures in a folder: enough to learn from, and no disk is filled.
 const MOST_FAILURES: usize = 100;

@@ -30,7 +30,7 @@ use super::scheduler::{Entity, Poll, Polled, Quantum, Scheduler, SlotReservation
 use super::store::{self, Ledger, Saved, Store};
 use super::watch::{Registration, Subscriptions, WatchRegistry};
 use crate::env::{Env, Imaging, Rebuild};
-use crate::tasks::Registry;
+use crate::registry::Registry;
 
 /// What all sessions of a server share.
 pub(super) struct ServerContext {

@@ -226,7 +226,7 @@ mod tests {
     use trocar_proto::Options;
 
     use super::*;
-    use crate::tasks::Registry;
+    use crate::registry::Registry;
 
     fn store(ledger: &Arc<Ledger>) -> (Store, Arc<Env>) {
         let mut env = Registry::builtin().make("EcmReach-v0", &Options::new()).unwrap();

@@ -265,11 +265,11 @@ mod tests {
 
     use super::super::observer::{LiveRecording, StepObserver};
     use super::*;
+    use crate::registry::Registry;
     use crate::service::batch::BatchCommand;
     use crate::service::rows::Rows;
     use crate::service::scheduler::tests::TestScheduler;
     use crate::service::scheduler::{Entity, ThreadQuota};
-    use crate::tasks::Registry;
 
     /// A session's environments, which are watched.
     struct Stage {

@@ -1,4 +1,4 @@
-//! What is learnt: one file per task, and the registry from which everything else takes its list.
+//! What is learnt: one file per task.
 //!
 //! | task | in one line |
 //! |---|---|
@@ -14,22 +14,18 @@
 //! | [`active_track`] | the endoscope follows a moving cube |
 //!
 //! `assignment.rs` reads options that are texts. A task of one's own implements [`Task`] and [`Registered`], and is added
-//! by [`Registry::register`].
+//! by [`Registry::register`](crate::Registry::register).
 
 use arrayvec::ArrayVec;
 use nalgebra::Vector3;
 use trocar_proto::builtin::TaskInfo;
-use trocar_proto::goal::Reward;
 use trocar_proto::relative::Relative;
 use trocar_proto::spec::{Element, GoalSpec, OptionSpec};
-use trocar_proto::{Code, Options, Rejection, Stage, TaskSpec};
+use trocar_proto::{Options, Rejection, Stage};
 
 use self::ecm_scene::EcmArm;
 use self::expert::ExpertInput;
-use self::proprioception::Proprioception;
 use self::psm_scene::PsmArm;
-use self::rate::Rate;
-use crate::env::{Env, Imaging};
 use crate::render::Scene;
 use crate::sim::frames::Aabb;
 use crate::sim::motion::MAX_INSTRUMENTS;
@@ -80,7 +76,7 @@ pub mod tray;
 /// The instrument arms of a task.
 pub type Arms<'a> = ArrayVec<&'a mut PsmArm, MAX_INSTRUMENTS>;
 
-/// A task that can be made, so that a [`Registry`] may have it.
+/// A task that can be made, so that a [`Registry`](crate::Registry) may have it.
 pub trait Registered: Task + Clone + Sized {
     /// What is fixed of it: name, summary, steps and rate, tags.
     const INFO: TaskInfo;
@@ -101,7 +97,7 @@ pub trait Registered: Task + Clone + Sized {
 
 /// A task: what it looks like from outside, how an episode begins, what an action asks for, what is
 /// seen. Letting time pass, counting steps, the time limit, checking actions, goal rewards and randomisation that is
-/// the same for every task are [`Env`]'s. What every specification repeats is the [`Registry`]'s.
+/// the same for every task are [`Env`](crate::Env)'s. What every specification repeats is the [`Registry`](crate::Registry)'s.
 pub trait Task: CloneTask + Send + Sync + 'static {
     /// The elements of an action; they never change.
     fn action(&self) -> Vec<Element>;
@@ -194,7 +190,7 @@ pub trait Task: CloneTask + Send + Sync + 'static {
         scene.add_world(world);
     }
 
-    /// Where free objects are to stay, m; see [`Env::has_lost_objects`].
+    /// Where free objects are to stay, m; see [`Env::has_lost_objects`](crate::Env::has_lost_objects).
     fn theatre(&self) -> Aabb {
         objects::THEATRE
     }
@@ -230,198 +226,42 @@ impl Clone for Box<dyn Task> {
     }
 }
 
-/// The tasks that can be made, by id.
-pub struct Registry(Vec<Entry>);
+/// A task that can be made.
+pub(crate) struct Entry {
+    pub(crate) info: TaskInfo,
+    pub(crate) constant: &'static [&'static str],
+    pub(crate) constant_under_paper: &'static [&'static str],
+    pub(crate) options: fn() -> Vec<OptionSpec>,
+    pub(crate) make: fn(&Options) -> Result<InWorld, Rejection>,
+}
 
 /// A task in its prepared world.
 type InWorld = (Box<dyn Task>, World);
 
-struct Entry {
-    info: TaskInfo,
-    constant: &'static [&'static str],
-    constant_under_paper: &'static [&'static str],
-    options: fn() -> Vec<OptionSpec>,
-    make: fn(&Options) -> Result<InWorld, Rejection>,
-}
-
-impl Registry {
-    /// Trocar's tasks.
-    pub fn builtin() -> Self {
-        let mut registry = Self::empty();
-        registry.register::<needle_reach::NeedleReach>();
-        registry.register::<gauze_retrieve::GauzeRetrieve>();
-        registry.register::<needle_pick::NeedlePick>();
-        registry.register::<bi_peg_transfer::BiPegTransfer>();
-        registry.register::<peg_transfer::PegTransfer>();
-        registry.register::<needle_regrasp::NeedleRegrasp>();
-        registry.register::<ecm_reach::EcmReach>();
-        registry.register::<mis_orient::MisOrient>();
-        registry.register::<static_track::StaticTrack>();
-        registry.register::<active_track::ActiveTrack>();
-        registry
-    }
-
-    /// No tasks.
-    pub fn empty() -> Self {
-        Self(Vec::new())
-    }
-
-    /// Adds a task, in place of one that has its id.
-    pub fn register<T: Registered>(&mut self) {
-        self.0.retain(|entry| entry.info.id != T::INFO.id);
-        self.0.push(Entry {
+impl Entry {
+    pub(crate) fn of<T: Registered>() -> Self {
+        Self {
             info: T::INFO,
             constant: T::CONSTANT,
             constant_under_paper: T::CONSTANT_UNDER_PAPER,
             options: T::options,
             make: |options| T::new(options).map(|(task, world)| (Box::new(task) as _, world)),
-        });
-    }
-
-    /// The ids in order of registration.
-    pub fn ids(&self) -> impl Iterator<Item = &str> {
-        self.0.iter().map(|entry| entry.info.id)
-    }
-
-    /// The ids of the tasks that have a tag.
-    pub fn tagged<'a>(&'a self, tag: &'a str) -> impl Iterator<Item = &'a str> {
-        self.0.iter().filter(move |entry| entry.info.has(tag)).map(|entry| entry.info.id)
-    }
-
-    /// Whether nothing changes a field of a task's state, where actions are the paper's or not.
-    pub fn is_constant(&self, id: &str, field: &str, under_paper: bool) -> bool {
-        let entry = self.0.iter().find(|entry| entry.info.id == id);
-        entry.is_some_and(|entry| {
-            entry.constant.contains(&field)
-                || under_paper && entry.constant_under_paper.contains(&field)
-        })
-    }
-
-    /// The task `id` under `options`.
-    pub fn spec(&self, id: &str, options: &Options) -> Result<TaskSpec, Rejection> {
-        self.describe(id, options).map(|(spec, _)| spec)
-    }
-
-    /// The same, and the memory that an environment of it is counted with, bytes.
-    pub(crate) fn describe(
-        &self,
-        id: &str,
-        options: &Options,
-    ) -> Result<(TaskSpec, u64), Rejection> {
-        let mut made = self.build(id, options)?;
-        let imaging = Imaging::of(&made.options, || made.first_scene())?;
-        Ok((made.spec(options, imaging.as_ref()), Env::memory_bytes_with(&made.world)))
-    }
-
-    /// An environment of the task `id` under `options`; it needs a reset.
-    pub fn make(&self, id: &str, options: &Options) -> Result<Env, Rejection> {
-        let mut made = self.build(id, options)?;
-        let domain = options::Domain::of(&made.options)?;
-        let imaging = Imaging::of(&made.options, || made.first_scene())?;
-        let spec = made.spec(options, imaging.as_ref());
-        let Made { task, world, options, state, .. } = made;
-        Ok(Env::new(spec, state, task, world, domain, options, imaging))
-    }
-
-    /// How environments of the task `id` under `options` are drawn when that is asked for. `view` may have
-    /// what the options of observed pictures have; by default it is the overview, 640 × 480.
-    pub(crate) fn view(
-        &self,
-        id: &str,
-        options: &Options,
-        view: &Options,
-    ) -> Result<Imaging, Rejection> {
-        let made = self.build(id, options)?;
-        let of_view = |refusal: Rejection| match refusal.field.strip_prefix("options.") {
-            Some(name) => Rejection { field: format!("view.{name}"), ..refusal },
-            None => refusal,
-        };
-        let resolved = view.resolve(&options::of_views()).map_err(of_view)?;
-        let imaging = Imaging::of(&resolved, || made.first_scene());
-        let imaging = imaging.map_err(of_view)?;
-        Ok(imaging.expect("views have colour and depth").fine())
-    }
-
-    fn build(&self, id: &str, options: &Options) -> Result<Made, Rejection> {
-        let Some(entry) = self.0.iter().find(|entry| entry.info.id == id) else {
-            let ids: Vec<_> = self.ids().collect();
-            let allowed = format!("unknown task; this server knows {ids:?}");
-            return Err(Rejection::new(Code::UnknownTask, "task", format!("{id:?}"), allowed));
-        };
-        let known = options::with_common((entry.options)());
-        let allowed = options::under_preset(known, options);
-        let options = options.resolve(&allowed)?;
-        let (task, world) = (entry.make)(&options)?;
-        let state = State::elements(|state| task.state(&world, state));
-        let relative = task.relative(&state);
-        if relative::is_wanted(&options) && relative.features.is_empty() {
-            let allowed = "this task has no relative features";
-            let word = format!("{:?}", relative::WORD);
-            return Err(Rejection::new(Code::InvalidOption, "options.observation", word, allowed));
         }
-        let known = (entry.options)();
-        Ok(Made { info: entry.info, known, options, task, world, state, relative })
     }
 }
 
-/// A task that was made under some options, in its prepared world.
-struct Made {
-    info: TaskInfo,
-    /// The options that it knows, besides those of every task.
-    known: Vec<OptionSpec>,
-    /// All of its options.
-    options: Options,
-    task: Box<dyn Task>,
-    world: World,
-    /// The elements of its state.
-    state: Vec<Element>,
-    relative: Relative,
-}
-
-impl Made {
-    /// What it looks like; `given` are the options that were completed: defaults are those of its preset.
-    fn spec(&mut self, given: &Options, imaging: Option<&Imaging>) -> TaskSpec {
-        let goal = self.task.goal().map(|goal| GoalSpec {
-            success: options::tolerated(goal.success, &self.options),
-            ..goal
-        });
-        let goal_dim = goal.as_ref().map_or(0, |goal| goal.elements.len());
-        let dims = [self.state.len(), goal_dim];
-        let relative = Relative { dims, ..self.relative.clone() };
-        let mut observation = self.state.clone();
-        if options::observes_numbers(&self.options) && !options::observes_state(&self.options) {
-            observation.clear();
-        }
-        observation.extend(Proprioception::of(&self.options).elements(self.task.as_mut()));
-        if relative::is_wanted(&self.options) {
-            observation.extend(relative.elements());
-        }
-        let rate = Rate::nominal(self.info.hertz).of(&self.options);
-        let known = options::with_common(self.known.clone());
-        TaskSpec {
-            id: self.info.id.into(),
-            summary: self.info.summary.into(),
-            max_steps: rate.steps(self.info.steps),
-            seconds_per_step: rate.seconds(),
-            action: self.task.action(),
-            observation,
-            reward: if goal.is_some() { options::reward_of(&self.options) } else { Reward::State },
-            goal,
-            relative,
-            options: options::under_preset(known, given),
-            images: imaging.map(|imaging| imaging.spec().clone()),
-        }
-    }
-
-    /// What there is to see in some episode: all bodies that there will ever be.
-    fn first_scene(&self) -> Scene {
-        let (mut task, mut world) = (self.task.clone(), self.world.clone());
-        if !task.begins_prepared() {
-            task.reset(&mut world, &mut Rng::new(0, 0));
-        }
-        let mut scene = Scene::default();
-        task.scene(&world, &mut scene);
-        scene.add_others(&world);
-        scene
-    }
+/// Trocar's tasks.
+pub(crate) fn all() -> Vec<Entry> {
+    vec![
+        Entry::of::<needle_reach::NeedleReach>(),
+        Entry::of::<gauze_retrieve::GauzeRetrieve>(),
+        Entry::of::<needle_pick::NeedlePick>(),
+        Entry::of::<bi_peg_transfer::BiPegTransfer>(),
+        Entry::of::<peg_transfer::PegTransfer>(),
+        Entry::of::<needle_regrasp::NeedleRegrasp>(),
+        Entry::of::<ecm_reach::EcmReach>(),
+        Entry::of::<mis_orient::MisOrient>(),
+        Entry::of::<static_track::StaticTrack>(),
+        Entry::of::<active_track::ActiveTrack>(),
+    ]
 }

@@ -189,7 +189,7 @@ pub(crate) fn observes_numbers(options: &Options) -> bool {
 /// What a task knows, with the options that all tasks of its kind have: `terminate` where there is a goal, and
 /// what observations may have besides the state where there is `observation`: `image_size`, `camera` and where a
 /// placed camera is.
-pub(super) fn with_common(mut known: Vec<OptionSpec>) -> Vec<OptionSpec> {
+pub(crate) fn with_common(mut known: Vec<OptionSpec>) -> Vec<OptionSpec> {
     let has = |name: &str| known.iter().any(|option| option.name == name);
     let (has_goal, grasps) = (has("reward"), has("grasp"));
     if has_goal {
@@ -254,7 +254,7 @@ pub(super) fn with_common(mut known: Vec<OptionSpec>) -> Vec<OptionSpec> {
 
 /// The options of pictures on demand: those of observed ones with defaults for people, of which both colour
 /// and depth can be had.
-pub(super) fn of_views() -> Vec<OptionSpec> {
+pub(crate) fn of_views() -> Vec<OptionSpec> {
     let kinds = [ImageKind::Rgb, ImageKind::Depth].map(|kind| kind.name().to_string());
     let mut known = with_common(vec![observation()]);
     for option in &mut known {
@@ -330,7 +330,7 @@ const PRESETS: [(&str, &str, &str); 2] =
     [("surrol", "spawn", "narrow"), ("surrol", "grasp", "weld")];
 
 /// What a task knows, with the defaults that the preset in `options` brings.
-pub(super) fn under_preset(mut known: Vec<OptionSpec>, options: &Options) -> Vec<OptionSpec> {
+pub(crate) fn under_preset(mut known: Vec<OptionSpec>, options: &Options) -> Vec<OptionSpec> {
     for (preset, name, value) in PRESETS {
         if options.text("preset") == Some(preset) {
             for option in known.iter_mut().filter(|option| option.name == name) {

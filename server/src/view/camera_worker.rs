@@ -104,8 +104,8 @@ mod tests {
     use trocar_proto::Options;
 
     use super::*;
+    use crate::registry::Registry;
     use crate::sim::frames::Pose;
-    use crate::tasks::Registry;
 
     fn scene() -> Scene {
         let mut env = Registry::builtin().make("NeedleReach-v0", &Options::new()).unwrap();

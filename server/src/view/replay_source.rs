@@ -8,8 +8,8 @@ use std::time::Duration;
 use trocar_proto::Rejection;
 
 use super::source::{About, FrameChannel, Mark, Moment, SessionCard, Source};
-use crate::env::recording::{Course, Replay};
-use crate::tasks::Registry;
+use crate::recording::{Course, Replay};
+use crate::registry::Registry;
 
 /// How long the simulation waits where the page is behind.
 const PAUSE: Duration = Duration::from_millis(2);
@@ -110,7 +110,7 @@ mod tests {
 
     use super::super::source::Pace;
     use super::*;
-    use crate::env::recording::{self, Recorder};
+    use crate::recording::{self, Recorder};
 
     #[test]
     fn an_episode_is_shown_from_its_beginning_to_its_end_whoever_watches() {

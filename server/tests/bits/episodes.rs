@@ -4,8 +4,8 @@
 use rayon::prelude::*;
 use trocar_proto::spec::{Allowed, OptionSpec, OptionValue};
 use trocar_proto::{Options, TaskSpec};
+use trocar_server::Registry;
 use trocar_server::sim::random::Rng;
-use trocar_server::tasks::Registry;
 
 use super::format::{Episode, json_of, number, quantised};
 use super::player::Player;

@@ -2,8 +2,8 @@
 //! of pictures.
 
 use trocar_proto::Rejection;
+use trocar_server::Registry;
 use trocar_server::env::{Env, Pictures};
-use trocar_server::tasks::Registry;
 
 use super::format::{Episode, Mark};
 

@@ -2,9 +2,9 @@
 
 use trocar_proto::spec::{Allowed, OptionValue, RowSpec};
 use trocar_proto::{Code, Options};
+use trocar_server::Registry;
 use trocar_server::env::Env;
 use trocar_server::sim::world::{GRAVITY, Inertia, SUBSTEPS_PER_SECOND};
-use trocar_server::tasks::Registry;
 
 use super::{Seen, table};
 

@@ -5,7 +5,7 @@ use std::path::Path;
 
 use trocar_proto::Options;
 use trocar_proto::spec::Element;
-use trocar_server::tasks::Registry;
+use trocar_server::Registry;
 
 /// A row of a table: which fields, their ranges, their unit.
 struct Row {

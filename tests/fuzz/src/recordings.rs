@@ -4,7 +4,7 @@ use std::sync::LazyLock;
 
 use trocar_proto::{Options, snapshot};
 use trocar_server::Registry;
-use trocar_server::env::recording::{self, Recorder, Replay};
+use trocar_server::recording::{self, Recorder, Replay};
 
 use crate::control::check;
 use crate::input::Input;

@@ -4,8 +4,8 @@
 use std::sync::Barrier;
 use std::thread;
 
+use trocar_server::Registry;
 use trocar_server::env::Pictures;
-use trocar_server::tasks::Registry;
 use trocar_server::{Env, StepError};
 
 use super::{BEGINNINGS, Job, Measured, Stopwatch};

@@ -4,7 +4,7 @@
 use trocar_client::Reply;
 use trocar_proto::columns::{Flag, Width};
 use trocar_proto::{Code, Options, TaskSpec, reply_columns};
-use trocar_server::tasks::Registry;
+use trocar_server::Registry;
 use trocar_server::{Env, Step, StepError};
 
 /// Environments without a server, which act by themselves: those of even seeds follow the scripted

@@ -6,7 +6,7 @@ use std::thread;
 
 use indicatif::ProgressBar;
 use trocar_server::Env;
-use trocar_server::tasks::Registry;
+use trocar_server::Registry;
 
 use crate::policy::Chooser;
 

@@ -11,10 +11,10 @@ use std::collections::BTreeMap;
 use trocar_proto::snapshot::{self, Recipe};
 use trocar_proto::{Code, Options, Rejection};
 
-use super::{Env, Step};
+use crate::env::{Env, Step};
 use crate::error::StepError;
+use crate::registry::Registry;
 use crate::render::Scene;
-use crate::tasks::Registry;
 
 /// Steps from one snapshot of an episode to the next, unless said otherwise.
 pub const EVERY: u32 = 10;
@@ -141,8 +141,7 @@ impl Replay {
         let recipe = &course.recipe;
         let mut env = registry.make(&recipe.task, &recipe.options)?;
         env.identity().check(recipe)?;
-        (env.seed, env.episode) = (recipe.seed, recipe.episode);
-        env.begin();
+        env.reset_to(recipe.seed, recipe.episode);
         env.arrange(&recipe.placement)?;
         let mut replay = Self { env, course, done: 0, failed: false };
         replay.compare()?;
@@ -180,7 +179,7 @@ impl Replay {
         if self.done >= actions.len() {
             return None;
         }
-        let end = self.done + self.env.spec.action_dim();
+        let end = self.done + self.env.spec().action_dim();
         let step = match self.env.step_in_parts(&actions[self.done..end], parts, see) {
             Ok(step) => step,
             Err(StepError::Simulation { .. }) => {
