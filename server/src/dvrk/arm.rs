@@ -304,7 +304,7 @@ impl ArmController {
         }
     }
 
-    /// The events since the last call, oldest first. Whoever drives a controller takes them at every tick.
+    /// The events since the last call, oldest first. The owner of a controller takes them at every tick.
     pub fn take_events(&mut self) -> Vec<Event> {
         std::mem::take(&mut self.events)
     }

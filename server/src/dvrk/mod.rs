@@ -2,9 +2,9 @@
 //! clock and without clients.
 //!
 //! An [`ArmController`] is a value. It takes [`Command`]s, lets ticks of 1/240 s pass, and gives the set-points of
-//! each tick. What it has to tell it tells by [`Event`]s. The same commands at the same ticks give the same bits. Whoever
-//! owns it brings commands from scripts or messages, gives set-points to a world or to nothing, and publishes what
-//! it reads.
+//! each tick. What it has to tell it tells by [`Event`]s. The same commands at the same ticks give the same bits.
+//! Its owner brings commands from scripts or messages, gives set-points to a world or to nothing, and publishes what it
+//! reads.
 //!
 //! | module | holds |
 //! |---|---|

@@ -4,7 +4,7 @@
 //! | file | holds |
 //! |---|---|
 //! | [`mod@self`] | slots, and what changes them |
-//! | `run_queue.rs` | permits to compute, and who is next for one |
+//! | `run_queue.rs` | permits to compute, and which session is next for one |
 //! | `quantum.rs` | how long a message's work keeps its permits |
 //! | `work_queue.rs` | work that several threads take chunk by chunk |
 //! | `worker.rs` | the threads that poll sessions |
