@@ -81,19 +81,26 @@ impl FutexWord for AtomicU32 {
     }
 }
 
-impl FlagWord for AtomicU64 {
-    fn raise(&self, flags: u64, order: Ordering) {
-        self.fetch_or(flags, order);
-    }
+/// An atomic of the standard library or of `loom`, which have the same methods.
+macro_rules! flag_word {
+    ($atomic:ty) => {
+        impl FlagWord for $atomic {
+            fn raise(&self, flags: u64, order: Ordering) {
+                self.fetch_or(flags, order);
+            }
 
-    fn load(&self, order: Ordering) -> u64 {
-        self.load(order)
-    }
+            fn load(&self, order: Ordering) -> u64 {
+                self.load(order)
+            }
 
-    fn take(&self, order: Ordering) -> u64 {
-        self.swap(0, order)
-    }
+            fn take(&self, order: Ordering) -> u64 {
+                self.swap(0, order)
+            }
+        }
+    };
 }
+
+flag_word!(AtomicU64);
 
 #[cfg(feature = "loom")]
 pub use model::Model;
@@ -163,17 +170,5 @@ mod model {
         }
     }
 
-    impl FlagWord for AtomicU64 {
-        fn raise(&self, flags: u64, order: Ordering) {
-            self.fetch_or(flags, order);
-        }
-
-        fn load(&self, order: Ordering) -> u64 {
-            self.load(order)
-        }
-
-        fn take(&self, order: Ordering) -> u64 {
-            self.swap(0, order)
-        }
-    }
+    flag_word!(AtomicU64);
 }
