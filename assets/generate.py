@@ -27,7 +27,7 @@ def generate() -> dict[str, str]:
         classic = ecm.model(ecm.CLASSIC, urdf_name)
         files |= classic.files(urdf_name)
         files |= ecm.model(ecm.SI, urdf_name, classic).files(urdf_name)
-    objects = [scene.needle(), gauze.gauze(), peg_transfer.block()]
+    objects = [scene.needle(), scene.cylinder(), gauze.gauze(), peg_transfer.block()]
     static_bodies = [scene.pad(), scene.tray(), scene.table(), peg_transfer.pegboard()]
     for model in objects + static_bodies:
         files |= model.files()

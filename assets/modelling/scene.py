@@ -1,15 +1,18 @@
-"""Objects of the scenes: needle, pad, tray and table."""
+"""Objects of the scenes: needle, cylinder, pad, tray and table."""
 
 from __future__ import annotations
 
 import math
 
-from .mesh import Mesh, Point, loft, rounded_rectangle, slab
+from .mesh import Mesh, Point, loft, rod, rounded_rectangle, slab
 from .urdf import HALF_PI, Collision, Joint, Link, Model, Visual, box, capsule, origin
+from .urdf import cylinder as cylinder_shape
 
 RADIUS = 20.0  # of the needle's arc
 WIRE = 0.5  # radius of the needle's wire
 CAPSULES = 8
+
+PIN_RADIUS, PIN_LENGTH = 1.25, 6.0  # of the cylinder
 
 
 def arc(degrees: float, radius: float = RADIUS) -> Point:
@@ -95,6 +98,16 @@ def needle_capsules() -> list[Collision]:
         pose = origin(centre, f"{HALF_PI} 0 {math.radians(180.0 - degrees):.10g}")
         pieces.append(capsule(WIRE, length, pose))
     return pieces
+
+
+def cylinder() -> Model:
+    """A pin of steel with broken edges."""
+    half = PIN_LENGTH / 2
+    mesh = rod(PIN_RADIUS, -half, half, 0.1)
+    link = Link(
+        "cylinder", [Visual("cylinder", mesh, "steel")], [cylinder_shape(PIN_RADIUS, PIN_LENGTH)]
+    )
+    return Model("cylinder", [link], comment="Origin: its middle; z is its axis.")
 
 
 def pad() -> Model:

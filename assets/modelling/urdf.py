@@ -88,6 +88,12 @@ def capsule(radius: float, length: float, pose: str) -> Collision:
     return Collision(f"<capsule {size}/>", pose)
 
 
+def cylinder(radius: float, length: float) -> Collision:
+    """A cylinder along z about the origin."""
+    size = f'radius="{radius * 1e-3:.10g}" length="{length * 1e-3:.10g}"'
+    return Collision(f"<cylinder {size}/>", origin())
+
+
 @dataclass
 class Model:
     """A robot or an object: its files lie in the folder of the same name.

@@ -3,6 +3,7 @@
 //! [`Scene`].
 
 use std::collections::BTreeMap;
+use std::f64::consts::FRAC_PI_2;
 use std::ops::RangeInclusive;
 use std::sync::LazyLock;
 
@@ -44,6 +45,13 @@ impl Model {
         static GAUZE: LazyLock<Model> =
             LazyLock::new(|| Model::read(include_str!("../../assets/gauze/model.urdf")));
         &GAUZE
+    }
+
+    /// The cylinder: a steel pin that stands on its end; its origin is its middle, z its axis.
+    pub fn cylinder() -> &'static Self {
+        static CYLINDER: LazyLock<Model> =
+            LazyLock::new(|| Model::read(include_str!("../../assets/cylinder/model.urdf")));
+        &CYLINDER
     }
 
     /// The block of the peg transfer: a triangular ring about z; its origin is its middle.
@@ -309,11 +317,9 @@ fn placed(robot: &Robot) -> Result<Vec<Placed>, ModelError> {
         if is_free && mass <= 0.0 {
             return wrong(&link.name, "is free and needs a mass");
         }
-        let part = |collision: &urdf_rs::Collision| -> Result<Part, ModelError> {
-            let shape = shape(&collision.geometry)?;
-            Ok(Part { body_from_part: pose(&collision.origin)?, shape })
-        };
-        let parts = link.collision.iter().map(part).collect::<Result<_, _>>()?;
+        let shapes = link.collision.iter();
+        let parts = shapes.map(|shape| part(&shape.geometry, &shape.origin));
+        let parts = parts.collect::<Result<_, _>>()?;
         let material = link.visual.first().and_then(|visual| visual.material.as_ref());
         let friction = material.and_then(|material| friction_of(&material.name));
         let friction = friction.unwrap_or(UNKNOWN_FRICTION);
@@ -352,7 +358,10 @@ pub(crate) fn visuals(folder: &str, link: &urdf_rs::Link) -> Result<Vec<Visual>,
                     None => format!("{folder}/{filename}"),
                 })?
             }
-            other => made(&shape(other).ok()?),
+            other => {
+                let part = part(other, &visual.origin).ok()?;
+                return Some(made(&part, look(visual.material.as_ref())));
+            }
         };
         let material = look(visual.material.as_ref());
         Some(Visual { form, body_from_visual: pose(&visual.origin).ok()?, material })
@@ -363,14 +372,14 @@ pub(crate) fn visuals(folder: &str, link: &urdf_rs::Link) -> Result<Vec<Visual>,
     }
     let material = look(link.visual.first().and_then(|visual| visual.material.as_ref()));
     let shown = |collision: &urdf_rs::Collision| -> Result<Visual, ModelError> {
-        let form = made(&shape(&collision.geometry)?);
-        Ok(Visual { form, body_from_visual: pose(&collision.origin)?, material })
+        Ok(made(&part(&collision.geometry, &collision.origin)?, material))
     };
     link.collision.iter().map(shown).collect()
 }
 
-fn made(shape: &Shape) -> Form {
-    Form::Made(std::sync::Arc::new(Mesh::of_shape(shape)))
+fn made(part: &Part, material: Material) -> Visual {
+    let form = Form::Made(std::sync::Arc::new(Mesh::of_shape(&part.shape)));
+    Visual { form, body_from_visual: part.body_from_part, material }
 }
 
 /// Friction coefficient of a material that the table does not have.
@@ -445,25 +454,38 @@ pub(crate) fn pose(origin: &urdf_rs::Pose) -> Result<Pose, ModelError> {
     Ok(frames::pose(*origin.xyz, *origin.rpy))
 }
 
-fn shape(geometry: &Geometry) -> Result<Shape, ModelError> {
-    match geometry {
+/// A form at `origin` of its link.
+fn part(geometry: &Geometry, origin: &urdf_rs::Pose) -> Result<Part, ModelError> {
+    let body_from_part = pose(origin)?;
+    let shape = match geometry {
         Geometry::Box { size } => {
             check("edge", &**size, &LENGTHS)?;
-            Ok(Shape::Cuboid(Vector3::from(**size) * 0.5))
+            Shape::Cuboid(Vector3::from(**size) * 0.5)
         }
         Geometry::Capsule { radius, length } => {
             check("radius", &[*radius], &LENGTHS)?;
             check("length", &[*length], &(0.0..=*LENGTHS.end()))?;
-            Ok(Shape::Capsule {
+            Shape::Capsule {
                 a: Point3::new(0.0, 0.0, -0.5 * length),
                 b: Point3::new(0.0, 0.0, 0.5 * length),
                 radius: *radius,
-            })
+            }
         }
-        other => Err(ModelError::NotAModel(format!(
-            "collision shapes are boxes and capsules, not {other:?}"
-        ))),
-    }
+        Geometry::Cylinder { radius, length } => {
+            check("radius", &[*radius], &LENGTHS)?;
+            check("length", &[*length], &LENGTHS)?;
+            // A URDF's cylinder lies along z.
+            let turned = body_from_part * frames::pose([0.0; 3], [FRAC_PI_2, 0.0, 0.0]);
+            let shape = Shape::Cylinder { half_height: 0.5 * length, radius: *radius };
+            return Ok(Part { body_from_part: turned, shape });
+        }
+        other => {
+            return Err(ModelError::NotAModel(format!(
+                "collision shapes are boxes, capsules and cylinders, not {other:?}"
+            )));
+        }
+    };
+    Ok(Part { body_from_part, shape })
 }
 
 #[cfg(test)]
@@ -524,7 +546,10 @@ mod tests {
         };
         assert!(changed("\"floating\"", "\"revolute\"").contains("fixed and floating"));
         assert!(changed("<mass value=\"0.001\"/>", "<mass value=\"0\"/>").contains("a mass"));
-        assert!(changed("<capsule radius", "<cylinder radius").contains("boxes and capsules"));
+        assert!(
+            changed("<capsule radius=\"0.005\" length=\"0.002\"", "<sphere radius=\"0.005\"")
+                .contains("boxes, capsules and")
+        );
         assert!(changed("<parent link=\"ball\"/>", "<parent link=\"top\"/>").contains("no body"));
     }
 

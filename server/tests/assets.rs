@@ -208,7 +208,7 @@ fn the_parallelogram_stays_closed() {
 #[test]
 fn every_model_has_plausible_inertia() {
     let models = urdfs();
-    assert_eq!(models.len(), 17, "{models:?}");
+    assert_eq!(models.len(), 18, "{models:?}");
     for path in models {
         for link in read(&path).links.iter().filter(|link| !link.visual.is_empty()) {
             let inertia = &link.inertial.inertia;
@@ -269,7 +269,7 @@ fn the_readme_tells_materials_and_masses() {
         assert_eq!(format!("{:.2}", link.inertial.mass.value * 1e3), mass, "{row}");
         found += 1;
     }
-    assert_eq!(found, 4);
+    assert_eq!(found, 5);
 }
 
 /// Every wall of the block is where its frame says, 1.6 mm thick.
@@ -413,6 +413,7 @@ fn meshes_have_the_size_of_the_real_parts() {
         ("psm_si/meshes/shaft.obj", [8.4, 8.4, 419.0]),
         ("ecm/meshes/scope_straight.obj", [12.0, 12.0, 402.9]),
         ("needle/meshes/needle.obj", [20.5, 40.8, 1.0]),
+        ("cylinder/meshes/cylinder.obj", [2.5, 2.5, 6.0]),
         ("pad/meshes/pad.obj", [101.0, 170.0, 5.2]),
         ("tray/meshes/tray.obj", [120.0, 196.0, 22.75]),
         ("table/meshes/top.obj", [416.0, 537.0, 50.0]),

@@ -7,6 +7,7 @@ mod assets;
 mod between;
 mod bits;
 mod cameras;
+mod cylinder;
 mod experts;
 mod grasp;
 mod grasp_modes;

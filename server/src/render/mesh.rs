@@ -8,6 +8,9 @@ use nalgebra::{Point3, Vector3};
 
 use crate::sim::world::Shape;
 
+/// Corners of what is round.
+const MERIDIANS: u32 = 24;
+
 /// A closed surface; triangles are counter-clockwise from outside. Coordinates lie in arrays of their own,
 /// so that loops over vertices use wide registers.
 #[derive(Debug, Clone, Default, PartialEq)]
@@ -117,6 +120,7 @@ impl Mesh {
         match shape {
             Shape::Cuboid(half) => Self::cuboid(half),
             Shape::Capsule { a, b, radius } => Self::capsule(a, b, *radius),
+            Shape::Cylinder { half_height, radius } => Self::cylinder(*half_height, *radius),
         }
     }
 
@@ -144,7 +148,6 @@ impl Mesh {
 
     /// The points within `radius` of the segment from `a` to `b`, m; a sphere where both are one.
     pub fn capsule(a: &Point3<f64>, b: &Point3<f64>, radius: f64) -> Self {
-        const MERIDIANS: u32 = 24;
         /// From the pole to the equator.
         const CIRCLES: u32 = 6;
         let z = (b - a).try_normalize(1e-12).unwrap_or_else(Vector3::z);
@@ -178,6 +181,37 @@ impl Mesh {
                 if circle != 2 * CIRCLES {
                     triangles.push([a, c, d]);
                 }
+            }
+        }
+        Self::new(&positions, &normals, triangles)
+    }
+
+    /// The points within `radius` of the y axis and within `half_height` of the origin along it, m.
+    pub fn cylinder(half_height: f64, radius: f64) -> Self {
+        let (mut positions, mut normals, mut triangles) = (vec![], vec![], vec![]);
+        let mut ring = |y: f64, normal: &dyn Fn(Vector3<f64>) -> Vector3<f64>| {
+            for meridian in 0..MERIDIANS {
+                let turn = std::f64::consts::TAU * f64::from(meridian) / f64::from(MERIDIANS);
+                let outward = Vector3::new(libm::sin(turn), 0.0, libm::cos(turn));
+                positions.push(Point3::from(outward * radius + Vector3::y() * y));
+                normals.push(normal(outward));
+            }
+        };
+        // The mantle, then the ends, which have edges with it.
+        for y in [-half_height, half_height] {
+            ring(y, &|outward| outward);
+        }
+        for end in [-1.0, 1.0] {
+            ring(end * half_height, &|_| Vector3::y() * end);
+        }
+        let [low, high, bottom, top] = [0, 1, 2, 3].map(|ring| ring * MERIDIANS);
+        for meridian in 0..MERIDIANS {
+            let next = (meridian + 1) % MERIDIANS;
+            let [a, b, c, d] = [low + meridian, low + next, high + next, high + meridian];
+            triangles.extend([[a, b, c], [a, c, d]]);
+            if (1..MERIDIANS - 1).contains(&meridian) {
+                triangles.push([bottom, bottom + next, bottom + meridian]);
+                triangles.push([top, top + meridian, top + next]);
             }
         }
         Self::new(&positions, &normals, triangles)
@@ -271,7 +305,7 @@ macro_rules! embedded {
     };
 }
 
-static EMBEDDED: [Embedded; 51] = embedded![
+static EMBEDDED: [Embedded; 52] = embedded![
     "block/meshes/block.obj"
     "cube/meshes/cube_100.obj"
     "cube/meshes/cube_80.obj"
@@ -291,6 +325,7 @@ static EMBEDDED: [Embedded; 51] = embedded![
     "ecm/meshes/window_straight.obj"
     "ecm/meshes/yaw_body.obj"
     "ecm/meshes/yaw_fork.obj"
+    "cylinder/meshes/cylinder.obj"
     "gauze/meshes/gauze.obj"
     "needle/meshes/needle.obj"
     "pad/meshes/pad.obj"

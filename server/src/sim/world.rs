@@ -83,6 +83,13 @@ pub enum Shape {
         /// Distance from the segment.
         radius: f64,
     },
+    /// The points within `radius` of the y axis and within `half_height` of the origin along it.
+    Cylinder {
+        /// Half the distance between its flat ends.
+        half_height: f64,
+        /// Distance from the axis.
+        radius: f64,
+    },
 }
 
 impl Shape {
@@ -94,6 +101,9 @@ impl Shape {
             Self::Capsule { a, b, radius } => {
                 Self::Capsule { a: a * size, b: b * size, radius: radius * size }
             }
+            Self::Cylinder { half_height, radius } => {
+                Self::Cylinder { half_height: half_height * size, radius: radius * size }
+            }
         }
     }
 
@@ -104,6 +114,7 @@ impl Shape {
             Self::Capsule { a, b, radius } => {
                 PI * radius * radius * ((b - a).norm() + 4.0 / 3.0 * radius)
             }
+            Self::Cylinder { half_height, radius } => PI * radius * radius * 2.0 * half_height,
         }
     }
 }
@@ -137,6 +148,14 @@ impl Part {
             }
             Shape::Capsule { a, b, radius } => {
                 Aabb::around([world_from_part * a, world_from_part * b]).grown(*radius)
+            }
+            Shape::Cylinder { half_height, radius } => {
+                let axis = world_from_part.rotation * Vector3::y();
+                // A disc reaches as far along each direction as that is across the axis.
+                let across = axis.map(|along| radius * (1.0 - along * along).max(0.0).sqrt());
+                let half = axis.abs() * *half_height + across;
+                let centre = world_from_part.translation.vector;
+                Aabb { min: centre - half, max: centre + half }
             }
         }
     }
@@ -407,6 +426,10 @@ impl World {
         let point = |at| Point3::from(frames::from_engine_vector(at));
         let shape = if let Some(cuboid) = collider.shape().as_cuboid() {
             Shape::Cuboid(frames::from_engine_vector(cuboid.half_extents))
+        } else if let Some(cylinder) = collider.shape().as_cylinder() {
+            let [half_height, radius] =
+                [cylinder.half_height, cylinder.radius].map(|length| f64::from(length) / SCALE);
+            Shape::Cylinder { half_height, radius }
         } else {
             let capsule = collider.shape().as_capsule()?;
             let (a, b) = (point(capsule.segment.a), point(capsule.segment.b));
@@ -522,5 +545,8 @@ fn collider(shape: &Shape) -> ColliderBuilder {
             frames::to_engine_vector(&b.coords),
             (radius * SCALE) as f32,
         ),
+        Shape::Cylinder { half_height, radius } => {
+            ColliderBuilder::cylinder((half_height * SCALE) as f32, (radius * SCALE) as f32)
+        }
     }
 }
