@@ -106,6 +106,7 @@ use trocar_proto::builtin::{self, TaskInfo};
 
 use super::expert::ExpertInput;
 use super::gauze::{self, Gauze};
+use super::objects;
 use super::options::{Domain, Preset};
 use super::pad::Pad;
 use super::picking::{Pickable, Picking};
@@ -145,7 +146,6 @@ impl Pickable for LyingGauze {
     const NAMES: [&'static str; 2] = ["gauze", "crest"];
     const CARRIED: &'static str = "gauze";
     const SIZE: [f64; 2] = Gauze::SIZE;
-    const NARROW_GOALS: [f64; 2] = [0.02, 0.7252]; // source: the original
 
     fn furnish(preset: Preset, domain: Domain) -> (World, Option<Pad>, Self) {
         let (mut world, pad) = gauze::furnished_world(preset, domain);
@@ -163,6 +163,10 @@ impl Pickable for LyingGauze {
 
     fn lowest_goal() -> f64 {
         gauze::rim() + LOWEST_GOAL
+    }
+
+    fn narrow_goal(rng: &mut Rng) -> Vector3<f64> {
+        objects::goal_near_the_middle(0.02, 0.7252, rng) // source: the original
     }
 
     fn lay(&mut self, narrow: bool, world: &mut World, rng: &mut Rng) {

@@ -103,6 +103,7 @@ use nalgebra::Vector3;
 use trocar_proto::builtin::{self, TaskInfo};
 
 use super::expert::ExpertInput;
+use super::objects;
 use super::options::{Domain, Preset};
 use super::pad::Pad;
 use super::pick;
@@ -140,7 +141,6 @@ impl Pickable for Needle {
     const NAMES: [&'static str; 2] = ["needle", "mid arc"];
     const CARRIED: &'static str = "mid arc";
     const SIZE: [f64; 2] = Needle::SIZE;
-    const NARROW_GOALS: [f64; 2] = [0.01, 0.7152]; // source: the original
 
     fn furnish(preset: Preset, domain: Domain) -> (World, Option<Pad>, Self) {
         let (mut world, pad) = tray::padded_world(preset, domain);
@@ -158,6 +158,10 @@ impl Pickable for Needle {
 
     fn lowest_goal() -> f64 {
         tray::pad().max.z + LOWEST_GOAL
+    }
+
+    fn narrow_goal(rng: &mut Rng) -> Vector3<f64> {
+        objects::goal_near_the_middle(0.01, 0.7152, rng) // source: the original
     }
 
     fn lay(&mut self, narrow: bool, world: &mut World, rng: &mut Rng) {
@@ -208,7 +212,7 @@ mod tests {
     use trocar_proto::Options;
 
     use super::*;
-    use crate::tasks::{Registered, Task, objects, time};
+    use crate::tasks::{Registered, Task, time};
 
     /// Lets the expert work for `steps` steps on what it is told.
     fn work(task: &mut NeedlePick, world: &mut World, input: &ExpertInput<'_>, steps: u32) {

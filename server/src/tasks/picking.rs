@@ -45,9 +45,6 @@ pub trait Pickable: Clone + Send + Sync + 'static {
     /// The least and the greatest factor on its lengths.
     const SIZE: [f64; 2];
 
-    /// Spread and height of goals under `spawn = "narrow"`, m.
-    const NARROW_GOALS: [f64; 2];
-
     /// The world in which it lies, with it; and the pad under it, where there is one.
     fn furnish(preset: Preset, domain: Domain) -> (World, Option<Pad>, Self);
 
@@ -59,6 +56,9 @@ pub trait Pickable: Clone + Send + Sync + 'static {
 
     /// The lowest height of goals, m.
     fn lowest_goal() -> f64;
+
+    /// A goal under `spawn = "narrow"`, m.
+    fn narrow_goal(rng: &mut Rng) -> Vector3<f64>;
 
     /// Lays it at the beginning of an episode: anywhere, or `narrow`, near the middle.
     fn lay(&mut self, narrow: bool, world: &mut World, rng: &mut Rng);
@@ -239,9 +239,8 @@ impl<O: Pickable> Picking<O> {
     }
 
     fn draw_goal(&self, rng: &mut Rng) -> Vector3<f64> {
-        let [spread, height] = O::NARROW_GOALS;
         if self.narrow {
-            objects::goal_near_the_middle(spread, height, rng)
+            O::narrow_goal(rng)
         } else {
             objects::goal_anywhere(O::lowest_goal(), rng)
         }
