@@ -100,7 +100,7 @@ wheels: $(VENV)/ready ## * dist/: the wheels trocar (client) and trocar-server (
 experts-table: ## how often the scripted experts succeed with arms that are late, disturbed or wrong
 	$(CARGO) run --release --locked -p trocar-server --example experts -- --threads $$(nproc) --seeds $${SEEDS:-0..40}
 
-# TROCAR_BITS=starts: only the episodes whose start is the expert's work.
+# TROCAR_BITS=starts: only the episodes whose start is the expert's work; =tasks: only those of tasks that are new.
 .PHONY: bits
 bits: ## server/tests/fixtures/bits.bin: records its episodes anew; only when physics changes on purpose
 	TROCAR_BITS=$${TROCAR_BITS:-all} $(CARGO) test --locked -p trocar-server --test server -- --ignored --exact bits::write_the_file

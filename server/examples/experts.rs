@@ -14,12 +14,8 @@ use std::sync::Mutex;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 use anyhow::{Context, bail};
-use trocar_proto::{OptionValue, Options};
+use trocar_proto::{OptionValue, Options, builtin};
 use trocar_server::Registry;
-
-/// Tasks in which an object is grasped.
-const TASKS: [&str; 5] =
-    ["NeedlePick-v0", "GauzeRetrieve-v0", "PegTransfer-v0", "NeedleRegrasp-v0", "BiPegTransfer-v0"];
 
 /// What may be wrong with an arm: rate, Hz, and rows of `domain`.
 type Condition = (&'static str, f64, &'static [(&'static str, [f64; 2])]);
@@ -128,8 +124,8 @@ fn main() -> anyhow::Result<()> {
     let is_asked = |names: &[String], name: &str| {
         names.is_empty() || names.iter().any(|asked| name.starts_with(asked.as_str()))
     };
-    let tasks = TASKS.into_iter().filter(|task| is_asked(&arguments.tasks, task));
-    let tasks: Vec<_> = tasks.collect();
+    let grasping = builtin::ALL.iter().filter(|task| task.has("grasp")).map(|task| task.id);
+    let tasks: Vec<_> = grasping.filter(|task| is_asked(&arguments.tasks, task)).collect();
     let conditions = CONDITIONS.iter().filter(|each| is_asked(&arguments.conditions, each.0));
     let cells: Vec<_> = conditions
         .flat_map(|condition| tasks.iter().map(|task| (*task, *condition)))

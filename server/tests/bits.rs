@@ -7,11 +7,12 @@
 //! are the expert's.
 //!
 //! `make bits` writes the file anew, `TROCAR_BITS=starts make bits` only episodes with such a start. That is
-//! done only when physics, or with those starts the expert, changes on purpose. `TROCAR_BITS=observations make bits`
+//! done only when physics, or with those starts the expert, changes on purpose. `TROCAR_BITS=tasks make bits` adds the
+//! episodes of tasks that the file does not have. `TROCAR_BITS=observations make bits`
 //! writes hashes of observations alone, where a range of one was wrong: it refuses where anything else differs.
 //! `TROCAR_BITS=encoders make bits` writes hashes of episodes whose encoders err, and keeps their actions.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
 use rayon::prelude::*;
@@ -262,6 +263,13 @@ fn write_the_file() {
     let which = std::env::var("TROCAR_BITS").expect("TROCAR_BITS says which");
     let episodes = match which.as_str() {
         "all" => episodes::record(episodes::all()),
+        "tasks" => {
+            let mut episodes = recorded();
+            let known: BTreeSet<_> = episodes.iter().map(|episode| episode.task.clone()).collect();
+            let new = episodes::all().into_iter().filter(|episode| !known.contains(&episode.task));
+            episodes.extend(episodes::record(new.collect()));
+            episodes
+        }
         "starts" => {
             let mut episodes = recorded();
             let of_expert = |e: &&mut Episode| e.has_start_of_expert();
@@ -282,7 +290,9 @@ fn write_the_file() {
             rows.for_each(|episode| episode.marks = marks_anew(episode));
             episodes
         }
-        other => panic!("TROCAR_BITS is all, starts, observations or encoders, not {other:?}"),
+        other => {
+            panic!("TROCAR_BITS is all, tasks, starts, observations or encoders, not {other:?}")
+        }
     };
     let bytes = encode(&episodes);
     assert!(decode(&bytes) == episodes, "what is written is read alike");

@@ -4,7 +4,7 @@
 use std::collections::BTreeMap;
 
 use nalgebra::UnitQuaternion;
-use trocar_proto::{OptionValue, Options, Stage};
+use trocar_proto::{OptionValue, Options, Stage, builtin};
 use trocar_server::Registry;
 use trocar_server::env::Env;
 use trocar_server::error::StepError;
@@ -425,14 +425,12 @@ fn what_arms_measure_of_themselves_tells_nothing_of_objects() {
         let words = words.iter().map(ToString::to_string).collect();
         Options::new().with("observation", OptionValue::Texts(words))
     };
-    for id in Registry::builtin().ids() {
+    for task in builtin::ALL {
+        let id = task.id;
         let [state, joints, all] = [&["state"][..], &["joints"], &["proprioception"]].map(words);
         let dim = |options: &Options| make(id, options).spec().observation_dim();
-        let (arms, joint) = match id {
-            "NeedleRegrasp-v0" | "BiPegTransfer-v0" => (2, 7),
-            _ if id.contains("Needle") || id.contains("Gauze") || id.contains("Peg") => (1, 7),
-            _ => (1, 4),
-        };
+        let arms = if task.has("bimanual") { 2 } else { 1 };
+        let joint = if task.has("psm") { 7 } else { 4 };
         assert_eq!((dim(&joints), dim(&all)), (arms * joint, arms * (joint + 6)), "{id}");
         let both = words(&["state", "proprioception"]);
         assert_eq!(dim(&both), dim(&state) + dim(&all), "{id}");
