@@ -74,6 +74,8 @@ builtin! {
         50 at ECM_HERTZ, ["camera"];
     ACTIVE_TRACK: "ActiveTrack-v0", "Follow a moving cube with the endoscope.",
         500 at ECM_HERTZ, ["camera", "endless"];
+    CYLINDER_PICK: "CylinderPick-v0", "Pick up a standing cylinder and bring it to a point.",
+        50 at PSM_HERTZ, ["psm", "grasp"];
 }
 
 #[cfg(test)]

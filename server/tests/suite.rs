@@ -99,11 +99,11 @@ fn varies((id, options): &(String, Options), element: &Element) -> Option<bool> 
     // that is attached when it is lifted. Until then it may rock.
     let attached =
         options.text("grasp") == Some("approx") || options.text("preset") == Some("surrol");
-    let objects = ["mid arc", "crest", "wall 1", "wall 2"];
+    let objects = ["mid arc", "crest", "wall 1", "wall 2", "upper end"];
     let is_tilt = objects.iter().any(|object| {
         ["roll", "pitch"].iter().any(|angle| element.name == format!("{object} {angle}"))
     });
-    if paper && attached && (is_tilt || element.name == "crest yaw") {
+    if paper && attached && (is_tilt || ["crest yaw", "upper end yaw"].contains(&&*element.name)) {
         return None;
     }
     Some(!Registry::builtin().is_constant(id, &element.name, paper))

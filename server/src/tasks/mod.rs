@@ -41,6 +41,7 @@ mod assignment;
 pub mod bi_peg_transfer;
 pub mod bimanual;
 pub mod camera;
+pub mod cylinder_pick;
 pub mod ecm_reach;
 pub mod ecm_scene;
 pub mod expert;
@@ -263,5 +264,6 @@ pub(crate) fn all() -> Vec<Entry> {
         Entry::of::<mis_orient::MisOrient>(),
         Entry::of::<static_track::StaticTrack>(),
         Entry::of::<active_track::ActiveTrack>(),
+        Entry::of::<cylinder_pick::CylinderPick>(),
     ]
 }
