@@ -84,177 +84,56 @@
 
 use nalgebra::Vector3;
 use trocar_proto::builtin::{self, TaskInfo};
-use trocar_proto::goal::SuccessRule;
-use trocar_proto::relative::Relative;
-use trocar_proto::spec::{Element, GoalSpec, OptionSpec};
-use trocar_proto::{Options, Rejection};
 
-use super::expert::{ArmView, ExpertInput, Sees};
-use super::objects;
-use super::options::{self, Preset};
-use super::psm_scene::{PaperAction, PsmArm, RATE, REACH, STEP_LENGTH, Station, Turn, WORKSPACE};
-use super::relative;
-use super::theatre;
-use super::tray::{self, Needle};
-use super::{Arms, Registered, State, Task};
+use super::options::{Domain, Preset};
+use super::reaching::{Reachable, Reaching};
+use super::tray::Needle;
 use crate::render::Scene;
-use crate::sim::frames::Pose;
-use crate::sim::instrument::{JAW_CLOSED, TIP_OFFSET};
 use crate::sim::random::Rng;
 use crate::sim::world::{BodyId, World};
 
-/// Height of the goal above the middle of the needle, m. Source: the original.
-const GOAL_HEIGHT: f64 = 0.005;
-
-/// Distance below which the goal is reached, m. Source: the paper.
-const TOLERANCE: f64 = 0.005;
-
-/// The expert rests within this distance of the goal, m, and moves by this part of a full action.
-/// Source: the original.
-const EXPERT_TOLERANCE: f64 = 0.003;
-const EXPERT_SPEED: f64 = 0.3;
-
 /// The task; see the module's description.
-#[derive(Debug, Clone)]
-pub struct NeedleReach {
-    arm: PsmArm,
-    needle: Needle,
-    narrow: bool,
-    preset: Preset,
-    goal: Vector3<f64>,
-}
+pub type NeedleReach = Reaching<Needle>;
 
-impl Registered for NeedleReach {
+impl Reachable for Needle {
     const INFO: TaskInfo = builtin::NEEDLE_REACH;
-    const CONSTANT: &'static [&'static str] = &["jaw"];
-    const CONSTANT_UNDER_PAPER: &'static [&'static str] =
-        &["wrist link roll", "wrist link pitch", "wrist link yaw"];
+    const NAME: &'static str = "needle";
+    const SIZE: [f64; 2] = Needle::SIZE;
 
-    fn options() -> Vec<OptionSpec> {
-        vec![
-            options::reward(),
-            options::action(),
-            options::observation(),
-            options::preset(),
-            options::arm(),
-            options::spawn(),
-            RATE.option(5.0),
-            Sees::option(),
-            options::domain_with(options::object_rows(Needle::SIZE)),
-            options::setup(&PsmArm::setup_rows(1)),
-        ]
+    fn insert(world: &mut World, preset: Preset, domain: Domain) -> Self {
+        Needle::insert(world, preset, domain)
     }
 
-    fn new(options: &Options) -> Result<(Self, World), Rejection> {
-        let preset = options::preset_of(options);
-        let mut world = tray::furnished_world(preset);
-        let needle = Needle::insert(&mut world, preset, options::Domain::of(options)?);
-        let paper = PaperAction { turn: Turn::Nothing, jaw: false };
-        let start = [WORKSPACE.min.x, WORKSPACE.max.y, WORKSPACE.max.z + TIP_OFFSET];
-        let task = Self {
-            arm: PsmArm::insert(
-                &mut world,
-                options,
-                paper,
-                Station::psm1(start, tray::pad().max.z),
-            )?,
-            needle,
-            narrow: options.text("spawn") == Some("narrow"),
-            preset,
-            goal: Vector3::zeros(),
-        };
-        Ok((task, world))
-    }
-}
-
-impl Task for NeedleReach {
-    fn action(&self) -> Vec<Element> {
-        self.arm.action_elements()
+    fn body(&self) -> BodyId {
+        Needle::body(self)
     }
 
-    fn goal(&self) -> Option<GoalSpec> {
-        // The tip of jaws in any direction from a wrist within its reach.
-        let tip = REACH.grown(TIP_OFFSET + 1e-3);
-        let tolerance = TOLERANCE * options::position_scale(self.preset);
-        Some(GoalSpec {
-            elements: options::position_elements("tip", "scene", &tip, self.preset),
-            success: SuccessRule::Distance { tolerance: tolerance as f32 },
-        })
-    }
-
-    fn relative(&self, _: &[Element]) -> Relative {
-        relative::reaching(&self.arm, self.preset)
-    }
-
-    fn reset(&mut self, world: &mut World, rng: &mut Rng) {
-        if self.narrow {
-            self.needle.lay_near_the_middle(world, rng);
+    fn lay(&mut self, narrow: bool, world: &mut World, rng: &mut Rng) {
+        if narrow {
+            self.lay_near_the_middle(world, rng);
         } else {
-            self.needle.lay_anywhere(world, rng);
+            self.lay_anywhere(world, rng);
         }
-        self.objects_placed(world);
-        self.arm.reset(world, rng);
     }
 
-    fn objects(&self) -> Vec<(&'static str, BodyId)> {
-        vec![("needle", self.needle.body())]
+    fn reached(&self, world: &World) -> Vector3<f64> {
+        self.scene_from_middle(world).translation.vector
     }
 
-    fn objects_placed(&mut self, world: &World) {
-        let middle = self.needle.scene_from_middle(world).translation.vector;
-        self.goal = middle + Vector3::z() * GOAL_HEIGHT;
-    }
-
-    fn set_goal(&mut self, goal: &Vector3<f64>) -> Result<(), Rejection> {
-        self.arm.check_goal(goal)?;
-        self.goal = *goal;
-        Ok(())
-    }
-
-    fn command(&mut self, _: &mut World, action: Option<&[f32]>) {
-        self.arm.command(action);
-    }
-
-    fn arms(&mut self) -> Arms<'_> {
-        [&mut self.arm].into_iter().collect()
-    }
-
-    fn state(&self, world: &World, state: &mut State<'_>) {
-        self.arm.state(world, state);
-    }
-
-    fn goals(&self, _: &World, achieved: &mut [f32], desired: &mut [f32]) {
-        objects::write_goal(&self.arm.tip(), self.preset, achieved);
-        objects::write_goal(&self.goal, self.preset, desired);
-    }
-
-    fn scene(&self, world: &World, scene: &mut Scene) {
-        theatre::draw(scene, self.arm.model());
-        tray::draw(scene);
-        self.needle.draw(world, scene);
-        self.arm.draw(world, scene);
-        scene.add_goal(&self.goal, theatre::GOAL_RADIUS);
-    }
-
-    fn expert(&self, world: &World, input: &ExpertInput<'_>, action: &mut [f32]) {
-        let [view] = ArmView::of([&self.arm], world, input);
-        let tip = (view.aim * Pose::translation(0.0, 0.0, TIP_OFFSET)).translation.vector;
-        let error = self.goal - tip;
-        let step = if error.norm() < EXPERT_TOLERANCE {
-            Vector3::zeros()
-        } else {
-            error * (EXPERT_SPEED * STEP_LENGTH * self.arm.rate().scale() / error.amax())
-        };
-        view.act(&(Pose::from(step) * view.aim), JAW_CLOSED, action);
+    fn draw(&self, world: &World, scene: &mut Scene) {
+        Needle::draw(self, world, scene);
     }
 }
 
 #[cfg(test)]
 mod tests {
+    use trocar_proto::Options;
+
     use super::*;
     use crate::assets::Model;
     use crate::sim::frames::Aabb;
-    use crate::tasks::time;
+    use crate::tasks::psm_scene::{RATE, STEP_LENGTH, WORKSPACE};
+    use crate::tasks::{Registered, Task, time, tray};
 
     #[test]
     fn the_goal_is_above_a_needle_that_lies_wholly_on_pad_and_workspace() {
@@ -263,7 +142,7 @@ mod tests {
         let (mut low, mut high) = (f64::INFINITY, f64::NEG_INFINITY);
         for seed in 0..500 {
             task.reset(&mut world, &mut Rng::new(seed, 0));
-            let middle = task.needle.scene_from_middle(&world).translation.vector;
+            let middle = task.object.scene_from_middle(&world).translation.vector;
             assert!((task.goal - middle - Vector3::new(0.0, 0.0, 0.005)).norm() < 1e-12);
             assert!((middle.z - tray::pad().max.z - 0.5e-3).abs() < 1e-6);
             assert!(WORKSPACE.meets(&Aabb::around([middle.into()])));
@@ -296,13 +175,13 @@ mod tests {
         for episode in 0..200 {
             let mut world = prepared.clone();
             task.reset(&mut world, &mut Rng::new(episode, 0));
-            let laid = world.pose(task.needle.body());
+            let laid = world.pose(task.object.body());
             for _ in 0..50 {
                 for number in &mut action {
                     *number = actions.uniform(-1.0, 1.0) as f32;
                 }
                 if actions.unit() < 0.7 {
-                    let needle = world.pose(task.needle.body());
+                    let needle = world.pose(task.object.body());
                     let parts = &Model::needle().parts;
                     let part = parts[actions.index(parts.len())].body_from_part;
                     let to = (needle * part).translation.vector - task.arm.tip();
@@ -313,7 +192,7 @@ mod tests {
                     }
                 }
                 time::step(&mut task, &mut world, Some(&action), RATE.substeps());
-                let needle = world.pose(task.needle.body());
+                let needle = world.pose(task.object.body());
                 let over_pad = tray::pad().grown(-1e-3);
                 for part in &Model::needle().parts {
                     let middle = (needle * part.body_from_part).translation.vector;
@@ -322,10 +201,10 @@ mod tests {
                         lowest = lowest.min(middle.z - tray::pad().max.z);
                     }
                 }
-                fastest = fastest.max(world.velocity(task.needle.body()).norm());
+                fastest = fastest.max(world.velocity(task.object.body()).norm());
                 assert!(world.is_finite());
             }
-            touched += usize::from(world.pose(task.needle.body()) != laid);
+            touched += usize::from(world.pose(task.object.body()) != laid);
         }
         assert!(lowest > 0.0, "{mode}: the wire's axis was {lowest} m above the pad");
         assert!(fastest < FASTEST, "{mode}: {fastest}");
