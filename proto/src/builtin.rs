@@ -76,6 +76,8 @@ builtin! {
         500 at ECM_HERTZ, ["camera", "endless"];
     CYLINDER_PICK: "CylinderPick-v0", "Pick up a standing cylinder and bring it to a point.",
         50 at PSM_HERTZ, ["psm", "grasp"];
+    CYLINDER_REACH: "CylinderReach-v0", "Move the closed jaw tip to a point just above a standing cylinder.",
+        50 at PSM_HERTZ, ["psm"];
 }
 
 #[cfg(test)]

@@ -43,6 +43,7 @@ pub mod bimanual;
 pub mod camera;
 pub mod cylinder;
 pub mod cylinder_pick;
+pub mod cylinder_reach;
 pub mod ecm_reach;
 pub mod ecm_scene;
 pub mod expert;
@@ -267,5 +268,6 @@ pub(crate) fn all() -> Vec<Entry> {
         Entry::of::<static_track::StaticTrack>(),
         Entry::of::<active_track::ActiveTrack>(),
         Entry::of::<cylinder_pick::CylinderPick>(),
+        Entry::of::<cylinder_reach::CylinderReach>(),
     ]
 }

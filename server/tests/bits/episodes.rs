@@ -23,13 +23,14 @@ const FIRST_SEED: u64 = 7_000;
 type Row<'a> = (&'a str, &'a [f64]);
 
 /// Rows of `setup` under which a task's arm can do its work.
-const SETUPS: [(&str, &[Row]); 11] = [
+const SETUPS: [(&str, &[Row]); 12] = [
     ("NeedleReach-v0", &[("base", &[0.06, 0.25, 0.845, -1.9]), ("table_height", &[0.672])]),
     ("GauzeRetrieve-v0", &[("table_height", &[0.67])]),
     ("NeedlePick-v0", &[("table_height", &[0.67])]),
     ("BiPegTransfer-v0", &[("base_2", &[0.06, -0.235, 0.85, -1.25])]),
     ("PegTransfer-v0", &[("table_height", &[0.67])]),
     ("CylinderPick-v0", &[("table_height", &[0.67])]),
+    ("CylinderReach-v0", &[("table_height", &[0.672])]),
     ("NeedleRegrasp-v0", &[("base", &[0.055, 0.235, 0.85, -1.9]), ("table_height", &[0.673])]),
     ("EcmReach-v0", &[("base", &[-0.04, 0.01, 1.01, 0.5])]),
     ("MisOrient-v0", &[("base", &[-0.04, 0.01, 1.01, 0.5])]),
