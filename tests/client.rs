@@ -9,6 +9,7 @@ use std::time::Duration;
 
 use anyhow::{Result, bail};
 use rows::{Digest, Row, act, policies};
+use trocar_client::proto::dvrk::{Command, LiveRequest, StateCommand};
 use trocar_client::{Autoreset, CallError, Client, ConnectError, Session, SessionRequest};
 
 /// Environments of each session.
@@ -35,6 +36,7 @@ fn main() -> Result<()> {
         "until-told" => step_until_told(server),
         "digest" => digest(server),
         "faulted" => live_through_a_fault(server),
+        "drive" => drive(server),
         "private" => use_private_server(),
         _ => bail!("unknown role {role}"),
     }
@@ -43,6 +45,24 @@ fn main() -> Result<()> {
 /// Connects, and no more.
 fn connect(server: &str) -> Result<()> {
     let _client = Client::connect(server)?;
+    say("ready")?;
+    await_end_of_input()
+}
+
+/// Shares the live world of the server's first session, and drives its first arm on a long way.
+fn drive(server: &str) -> Result<()> {
+    let client = Client::connect(server)?;
+    let status = client.status()?;
+    let Some(first) = status.sessions.first() else { bail!("there is no session") };
+    let live = LiveRequest { world: Some(first.id), ..LiveRequest::default() };
+    let mut world = client.open_live(&SessionRequest::new(&first.task).live(live))?;
+    let arm = world.live().arms[0].name.clone();
+    for word in [StateCommand::Enable, StateCommand::Home] {
+        world.command(&arm, &Command::State(word))?;
+    }
+    world.advance(720)?;
+    world.command(&arm, &Command::MoveJp(vec![1.0, 0.0, 0.12, 0.0, 0.0, 0.0]))?;
+    world.advance(60)?;
     say("ready")?;
     await_end_of_input()
 }

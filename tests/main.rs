@@ -8,6 +8,7 @@
 //! | `conformance.rs` | one suite on in-process environments and on a remote session |
 //! | `parity.rs` | same seed and actions, same bits, however it is run |
 //! | `lifecycle.rs` | whichever process is killed or stopped, the others go on and nothing is left |
+//! | `live.rs` | live worlds: what dVRK's test scripts do, shared memory against in-process, two clients, bad input |
 //! | `images.rs` | pictures through a session |
 //! | `refusals.rs` | bad input is refused by name, and harms no other client |
 //! | `snapshots.rs` | snapshot, restore, fork; bytes that go to another server |
@@ -34,6 +35,7 @@ mod fuzz;
 mod harness;
 mod images;
 mod lifecycle;
+mod live;
 mod namespaces;
 mod operation;
 mod parity;

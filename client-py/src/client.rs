@@ -112,7 +112,7 @@ impl Client {
         };
         let options = self.options(py, &task, options)?;
         let view = view.map(view_options).transpose()?;
-        let request = SessionRequest { task, envs, seed, autoreset, options, view };
+        let request = SessionRequest { task, envs, seed, autoreset, options, view, live: None };
         let session = self.call(py, move |client| client.open(&request))?;
         Session::new(py, session)
     }

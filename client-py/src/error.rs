@@ -95,6 +95,9 @@ pub(crate) fn class_of(code: Code) -> &'static str {
         Code::Internal => "Internal",
         Code::UnknownSnapshot => "UnknownSnapshot",
         Code::InvalidSnapshot => "InvalidSnapshot",
+        Code::UnknownArm => "UnknownArm",
+        Code::InvalidCommand => "InvalidCommand",
+        Code::ArmIsDriven => "ArmIsDriven",
     }
 }
 

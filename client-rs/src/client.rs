@@ -4,7 +4,6 @@ use std::net::SocketAddr;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use trocar_proto::TaskSpec;
 use trocar_proto::control::{
     ClientInfo, ClientLimits, ControlCalls, ControlReply, ServerInfo, ServerStatus, SessionRequest,
 };
@@ -12,8 +11,10 @@ use trocar_proto::endpoint::{Endpoint, Membership, ServerName, ServerState};
 use trocar_proto::open_files::{OpenFiles, SESSION_FILES};
 use trocar_proto::spec::Options;
 use trocar_proto::wire::Header;
+use trocar_proto::{Code, Rejection, TaskSpec};
 
 use crate::error::{CallError, ConnectError};
+use crate::live::LiveWorld;
 use crate::private;
 use crate::session::Session;
 use crate::transport::{Link, Owned};
@@ -156,9 +157,23 @@ impl Client {
     /// Opens a session: one task, N environments, one seed, its options.
     pub fn open(&self, request: &SessionRequest) -> Result<Session, CallError> {
         OpenFiles::now().check("a session", SESSION_FILES).map_err(CallError::Transport)?;
+        if request.live.is_some() {
+            let why = "Client::open_live opens a session with a live world";
+            return Err(Rejection::new(Code::Unsupported, "live", "a live world", why).into());
+        }
         let info = self.link.get()?.open_session(request.clone(), self.info.clone())?;
         // Where the server has died meanwhile, its successor may have removed the services.
         Session::new(self.clone(), request.clone(), *info)
+            .map_err(|error| self.link.check_server().err().unwrap_or(error))
+    }
+
+    /// Opens a session with a live world: what [`SessionRequest::live`] asks for, or a world in lock-step.
+    pub fn open_live(&self, request: &SessionRequest) -> Result<LiveWorld, CallError> {
+        OpenFiles::now().check("a session", SESSION_FILES).map_err(CallError::Transport)?;
+        let live = Some(request.live.unwrap_or_default());
+        let request = SessionRequest { live, ..request.clone() };
+        let info = self.link.get()?.open_session(request, self.info.clone())?;
+        LiveWorld::new(self.clone(), *info)
             .map_err(|error| self.link.check_server().err().unwrap_or(error))
     }
 

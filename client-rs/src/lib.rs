@@ -19,6 +19,7 @@
 
 mod client;
 mod error;
+mod live;
 mod owned;
 pub mod private;
 mod reconnect;
@@ -29,6 +30,7 @@ mod transport;
 
 pub use client::Client;
 pub use error::{CallError, ConnectError, ReconnectError};
+pub use live::LiveWorld;
 pub use reconnect::Resumed;
 pub use reply::Reply;
 pub use session::Session;

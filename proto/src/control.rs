@@ -5,6 +5,7 @@ use std::net::SocketAddr;
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
+use crate::dvrk::{LiveInfo, LiveRequest};
 use crate::error::{Code, Rejection};
 use crate::placement::Placement;
 use crate::spec::{ImageSpec, Options, TaskSpec};
@@ -13,7 +14,7 @@ use crate::spec::{ImageSpec, Options, TaskSpec};
 pub const MAX_MESSAGE: usize = 64 * 1024;
 
 /// Version of everything in this crate; both sides must have the same.
-pub const PROTOCOL_VERSION: u32 = 13;
+pub const PROTOCOL_VERSION: u32 = 14;
 
 macro_rules! control_messages {
     ($(
@@ -38,7 +39,7 @@ macro_rules! control_messages {
             /// The kind of [`Self::OpenSession`].
             pub const OPEN_SESSION: u32 = 4;
 
-            /// The number in [`crate::wire::Header::kind`]. Reserved for later: 32 to 47 dVRK arm sessions.
+            /// The number in [`crate::wire::Header::kind`].
             pub fn kind(&self) -> u32 {
                 match self {
                     $(Self::$variant { .. } => $kind,)*
@@ -215,6 +216,8 @@ pub struct SessionRequest {
     /// How [`crate::wire::kind::RENDER`] draws: `image_size`, `camera` and what belongs to it, as the
     /// options of pictures that are observed; `None` if nothing will be drawn.
     pub view: Option<Options>,
+    /// A live world instead of environments that are stepped; then there is one environment, in its first episode.
+    pub live: Option<LiveRequest>,
 }
 
 impl SessionRequest {
@@ -227,6 +230,7 @@ impl SessionRequest {
             autoreset: Autoreset::default(),
             options: Options::new(),
             view: None,
+            live: None,
         }
     }
 
@@ -254,6 +258,12 @@ impl SessionRequest {
         Self { view: Some(view), ..self }
     }
 
+    /// The same with a live world.
+    #[must_use]
+    pub fn live(self, live: LiveRequest) -> Self {
+        Self { live: Some(live), ..self }
+    }
+
     /// The same with other options.
     #[must_use]
     pub fn options(self, options: Options) -> Self {
@@ -276,6 +286,8 @@ pub struct SessionInfo {
     pub spec: TaskSpec,
     /// What pictures on demand are like, where they were asked for.
     pub view: Option<Box<ImageSpec>>,
+    /// Its live world, where that was asked for.
+    pub live: Option<Box<LiveInfo>>,
 }
 
 /// The server as `trocar status` shows it.

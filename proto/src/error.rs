@@ -44,16 +44,22 @@ pub enum Code {
     UnknownSnapshot = 18,
     /// The bytes are no snapshot, or none of this task and these options.
     InvalidSnapshot = 19,
+    /// A live world has no such arm.
+    UnknownArm = 20,
+    /// A command to an arm is malformed.
+    InvalidCommand = 21,
+    /// Another client drives the arm.
+    ArmIsDriven = 22,
 }
 
 impl Code {
     /// The code of a number on the wire.
     pub fn from_u32(number: u32) -> Option<Self> {
         use Code::{
-            Internal, InvalidAction, InvalidEnvCount, InvalidEnvIds, InvalidOption,
-            InvalidSnapshot, Malformed, MemoryBudget, ResetNeeded, ShuttingDown, Simulation,
-            StaleSession, TooManySessions, UnknownOption, UnknownSession, UnknownSnapshot,
-            UnknownTask, Unsupported, VersionMismatch,
+            ArmIsDriven, Internal, InvalidAction, InvalidCommand, InvalidEnvCount, InvalidEnvIds,
+            InvalidOption, InvalidSnapshot, Malformed, MemoryBudget, ResetNeeded, ShuttingDown,
+            Simulation, StaleSession, TooManySessions, UnknownArm, UnknownOption, UnknownSession,
+            UnknownSnapshot, UnknownTask, Unsupported, VersionMismatch,
         };
         [
             UnknownTask,
@@ -75,6 +81,9 @@ impl Code {
             Internal,
             UnknownSnapshot,
             InvalidSnapshot,
+            UnknownArm,
+            InvalidCommand,
+            ArmIsDriven,
         ]
         .into_iter()
         .find(|code| *code as u32 == number)
@@ -126,11 +135,11 @@ mod tests {
 
     #[test]
     fn every_code_survives_the_wire() {
-        for number in 1..=19 {
+        for number in 1..=22 {
             assert_eq!(Code::from_u32(number).map(|code| code as u32), Some(number));
         }
         assert_eq!(Code::from_u32(0), None);
-        assert_eq!(Code::from_u32(20), None);
+        assert_eq!(Code::from_u32(23), None);
     }
 
     #[test]

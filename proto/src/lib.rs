@@ -8,6 +8,7 @@
 //! | [`cause`] | why an operation of the transport failed, in its own words |
 //! | [`missing_page`] | making shared memory while there is none |
 //! | [`open_files`] | how many files a process has open, and what clients and sessions take |
+//! | [`dvrk`] | live worlds: commands to their arms, what these tell, and all of it as records in shared memory |
 //! | [`control`] | rare messages: hello, tasks, sessions, status (serde + bincode, at most 64 KiB) |
 //! | [`columns`] | what each environment's row of a reply holds |
 //! | [`wire`] | frequent messages: step and reset as plain arrays in shared memory |
@@ -39,6 +40,7 @@ pub mod builtin;
 pub mod cause;
 pub mod columns;
 pub mod control;
+pub mod dvrk;
 pub mod endpoint;
 pub mod error;
 pub mod goal;

@@ -7,6 +7,10 @@
 use iceoryx2::prelude::ZeroCopySend;
 
 use crate::columns::{Flag, Width};
+use crate::dvrk::LiveInfo;
+use crate::dvrk::record::{
+    AnswerRecord, ArmRecord, CommandRecord, EventRecord, QuestionRecord, WorldRecord,
+};
 use crate::spec::{ImageSpec, TaskSpec};
 
 /// First word of every message: "TRCR".
@@ -41,6 +45,11 @@ pub mod kind {
     /// Let the episode of each of the listed environments, in which no step was taken, begin as the placement
     /// of that row's number asks for. The reply is as for [`RESTORE`].
     pub const ARRANGE: u32 = 7;
+    /// Give a live world's arms commands, as many as the message has rows, and let ticks pass. Payloads:
+    /// [`super::LiveRequestLayout`] and [`super::LiveReplyLayout`].
+    pub const LIVE: u32 = 32;
+    /// Ask about the kinematics of a live world's arm.
+    pub const ASK: u32 = 33;
 }
 
 /// Bits of [`Header::flags`].
@@ -53,6 +62,8 @@ pub mod flag {
     pub const HAS_SEEDS: u32 = 2;
     /// Render request: depth is wanted, and not colours.
     pub const DEPTH: u32 = 4;
+    /// Live request: time stops after a tick in which an arm told something.
+    pub const UNTIL_EVENT: u32 = 8;
 }
 
 /// The fixed part of every message, control and data, both directions. Its size and alignment make payloads, which
@@ -237,6 +248,86 @@ impl PictureLayout {
         let depth = plan.region::<f32>(pixels);
         let rgb = Region { width: 3 * pixels, element: size_of::<u8>(), ..depth };
         Self { rgb, depth, bytes: plan.bytes().max(MIN_REPLY) }
+    }
+}
+
+/// Most commands of a message to a live world.
+pub const MAX_COMMANDS: usize = 32;
+
+/// Most events in a reply of a live world.
+pub const MAX_EVENTS: usize = 32;
+
+/// Most ticks that a message may let pass: 100 s.
+pub const MAX_TICKS: u32 = 24_000;
+
+/// A message to a live world.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct LiveRequestLayout {
+    /// u32 (1): ticks that shall pass once the commands were given.
+    pub ticks: Region,
+    /// Commands, of which the first [`Header::rows`] are meant.
+    pub commands: Region,
+    /// A question, of [`kind::ASK`].
+    pub question: Region,
+    /// Size of the payload.
+    pub bytes: usize,
+}
+
+impl LiveRequestLayout {
+    /// The layout for any live world.
+    pub fn new() -> Self {
+        let mut plan = Planner { rows: 1, end: 0 };
+        let ticks = plan.region::<u32>(1);
+        let commands = plan.region::<CommandRecord>(MAX_COMMANDS);
+        let question = plan.region::<QuestionRecord>(1);
+        Self { ticks, commands, question, bytes: plan.bytes() }
+    }
+}
+
+impl Default for LiveRequestLayout {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+/// A live world's reply.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct LiveReplyLayout {
+    /// The world.
+    pub world: Region,
+    /// Its arms.
+    pub arms: Region,
+    /// What they have told, of which the first [`WorldRecord::events`] are meant.
+    pub events: Region,
+    /// f64 (objects, 7): where the objects are in the world: x, y, z, m; x, y, z, w of a unit quaternion.
+    pub objects: Region,
+    /// f32 (observation dim).
+    pub observation: Region,
+    /// f32 (goal dim).
+    pub achieved_goal: Region,
+    /// f32 (goal dim).
+    pub desired_goal: Region,
+    /// The answer to a question; there is nothing else then.
+    pub answer: Region,
+    /// Size of the payload.
+    pub bytes: usize,
+}
+
+impl LiveReplyLayout {
+    /// The layout for a live world of a task.
+    pub fn new(live: &LiveInfo, spec: &TaskSpec) -> Self {
+        let mut plan = Planner { rows: 1, end: 0 };
+        Self {
+            world: plan.region::<WorldRecord>(1),
+            arms: plan.region::<ArmRecord>(live.arms.len()),
+            events: plan.region::<EventRecord>(MAX_EVENTS),
+            objects: plan.region::<f64>(7 * live.objects.len()),
+            observation: plan.region::<f32>(spec.observation_dim()),
+            achieved_goal: plan.region::<f32>(spec.goal_dim()),
+            desired_goal: plan.region::<f32>(spec.goal_dim()),
+            answer: plan.region::<AnswerRecord>(1),
+            bytes: plan.bytes().max(MIN_REPLY),
+        }
     }
 }
 

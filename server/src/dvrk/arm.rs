@@ -3,6 +3,7 @@
 use arrayvec::ArrayVec;
 use nalgebra::Vector6;
 
+use super::Homing;
 use super::command::Command;
 use super::drivetrain::Drivetrain;
 use super::event::{Error, Event, NotReady, Stamp, Warning, What};
@@ -89,15 +90,6 @@ impl Progress {
     fn present(&self) -> [Axes; 2] {
         self.trajectory.at(self.seconds())
     }
-}
-
-/// What an arm does when it is homed.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Homing {
-    /// It moves all joints and the jaw to 0, and the insertion to 0.12 m, as dVRK's kinematic simulation does.
-    ToZero,
-    /// It stays, as a real PSM with a tool does.
-    InPlace,
 }
 
 /// Which kind of command came latest: the first Cartesian one is checked.

@@ -1,5 +1,7 @@
 //! What an arm says besides its state: events, with reasons in words.
 
+use trocar_proto::dvrk::Report;
+
 use super::mechanism::NoSolution;
 use super::state::{OperatingState, State};
 
@@ -69,16 +71,21 @@ pub enum What {
 impl What {
     /// The topic that it goes to, below the arm's name.
     pub fn topic(&self) -> &'static str {
+        self.report().topic()
+    }
+
+    /// The same as clients are told it, with reasons in words.
+    pub fn report(&self) -> Report {
         match self {
-            Self::OperatingState(_) => "operating_state",
-            Self::GoalReached(_) => "goal_reached",
-            Self::Ratio(_) => "trajectory_j/ratio",
-            Self::RatioV(_) => "trajectory_j/ratio_v",
-            Self::RatioA(_) => "trajectory_j/ratio_a",
-            Self::ToolType(_) => "tool_type",
-            Self::EndoscopeType(_) => "endoscope_type",
-            Self::Warning(_) => "warning",
-            Self::Error(_) => "error",
+            Self::OperatingState(state) => Report::OperatingState(*state),
+            Self::GoalReached(is_reached) => Report::GoalReached(*is_reached),
+            Self::Ratio(ratio) => Report::Ratio(*ratio),
+            Self::RatioV(ratio) => Report::RatioV(*ratio),
+            Self::RatioA(ratio) => Report::RatioA(*ratio),
+            Self::ToolType(name) => Report::ToolType(name.clone()),
+            Self::EndoscopeType(name) => Report::EndoscopeType(name.clone()),
+            Self::Warning(why) => Report::Warning(why.to_string()),
+            Self::Error(why) => Report::Error(why.to_string()),
         }
     }
 }
@@ -170,12 +177,14 @@ pub enum Error {
         expected: usize,
     },
     /// A number is a NaN, infinite or absurdly large.
-    #[error("{command}: number {index} is no position or velocity")]
+    #[error("{command}: number {index} is {value}, expected a position or velocity within ±1e6")]
     NotFinite {
         /// The topic of the command.
         command: &'static str,
         /// Which number, from 0.
         index: usize,
+        /// What it is.
+        value: f64,
     },
     /// A quaternion is not of length 1.
     #[error("{command}: the orientation is no unit quaternion")]

@@ -13,13 +13,11 @@
 use arrayvec::ArrayVec;
 use std::f64::consts::FRAC_PI_2;
 
-use nalgebra::{Isometry3, Matrix3xX, Matrix6xX};
+use nalgebra::{Matrix3xX, Matrix6xX};
+pub use trocar_proto::dvrk::Pose;
 
 use super::planner::{Axes, AxisLimit, MAX_AXES};
 use crate::robots::{ArmModel, Ecm, Endoscope, IkError, JointLimit, Psm};
-
-/// A pose, m.
-pub type Pose = Isometry3<f64>;
 
 /// How far below the remote centre dVRK keeps the wrist-pitch axis of a PSM, m (`SafeDistanceFromRCM`).
 const SAFE_DEPTH: f64 = 0.045;
@@ -109,6 +107,14 @@ impl Mechanism {
     /// The names of all axes.
     pub fn names(&self) -> &'static [&'static str] {
         &NAMES[..self.axes()]
+    }
+
+    /// The names of what it has without a tool.
+    pub fn raw_names(&self) -> &'static [&'static str] {
+        match self {
+            Self::Psm(_) => &DISC_NAMES,
+            Self::Ecm(_) => self.names(),
+        }
     }
 
     /// The limits of an axis: rad, rad/s, rad/s²; m, m/s, m/s² for the insertion (index 2).

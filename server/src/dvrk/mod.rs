@@ -64,25 +64,32 @@
 use crate::sim::world::SUBSTEPS_PER_SECOND;
 
 pub mod arm;
-pub mod command;
 pub mod drivetrain;
 pub mod event;
 pub mod mechanism;
 pub mod planner;
-pub mod state;
 #[cfg(test)]
 mod tests;
 pub mod topics;
 
-pub use arm::{ArmController, Homing, JointState, SetPoint, VELOCITY_SECONDS};
+pub use arm::{ArmController, JointState, SetPoint, VELOCITY_SECONDS};
 pub use command::{Command, Effort, PoseMessage, StateCommand};
 pub use drivetrain::Drivetrain;
 pub use event::{Error, Event, NotReady, Stamp, Warning, What};
 pub use mechanism::{Mechanism, NoSolution, Pose};
 pub use state::{OperatingState, State};
+pub use trocar_proto::dvrk::{Homing, command, state};
 
 /// Ticks in a second: a tick is a substep of the simulation.
 pub const TICKS_PER_SECOND: u64 = SUBSTEPS_PER_SECOND as u64;
+
+const _: () = assert!(TICKS_PER_SECOND == trocar_proto::dvrk::TICKS_PER_SECOND);
+
+/// A pose as messages have it: x, y, z, m; x, y, z, w of a unit quaternion.
+pub fn numbers_of(pose: &Pose) -> [f64; 7] {
+    let ([x, y, z], [i, j, k, w]) = (pose.translation.vector.into(), pose.rotation.coords.into());
+    [x, y, z, i, j, k, w]
+}
 
 /// A tick, s.
 pub const TICK: f64 = 1.0 / SUBSTEPS_PER_SECOND;

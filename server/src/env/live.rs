@@ -97,7 +97,12 @@ impl LiveWorld {
 
     /// The arm of a name, to command.
     pub fn arm_mut(&mut self, name: &str) -> Option<&mut ArmController> {
-        self.psms.iter_mut().chain(&mut self.ecm).find(|arm| arm.name() == name)
+        self.arms_mut().find(|arm| arm.name() == name)
+    }
+
+    /// The arms, to command.
+    pub fn arms_mut(&mut self) -> impl Iterator<Item = &mut ArmController> {
+        self.psms.iter_mut().chain(&mut self.ecm)
     }
 
     /// Where the remote centre of an arm is in the world.
@@ -176,8 +181,18 @@ impl LiveWorld {
         let spec = self.env.spec();
         let mut observation = vec![0.0; spec.observation_dim()];
         let [mut achieved, mut desired] = [(); 2].map(|()| vec![0.0; spec.goal_dim()]);
-        self.env.observe(&mut observation, &mut achieved, &mut desired);
-        self.env.evaluate(&achieved, &desired)
+        self.observe(&mut observation, &mut achieved, &mut desired)
+    }
+
+    /// As [`Self::evaluate`], and writes the present observation and goals, of the specification's dimensions.
+    pub fn observe(
+        &self,
+        observation: &mut [f32],
+        achieved: &mut [f32],
+        desired: &mut [f32],
+    ) -> Step {
+        self.env.observe(observation, achieved, desired);
+        self.env.evaluate(achieved, desired)
     }
 }
 

@@ -5,14 +5,19 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use trocar_proto::control::{self, ControlRequest, ServerInfo, SessionRequest};
+use trocar_proto::dvrk::{ArmInfo, LiveInfo};
 use trocar_proto::endpoint::{Endpoint, MAX_CLIENTS};
 use trocar_proto::open_files::{OpenFiles, SESSION_FILES};
-use trocar_proto::wire::{Header, MAGIC, MAX_IN_FLIGHT, PictureLayout, ReplyLayout, RequestLayout};
+use trocar_proto::wire::{
+    Header, LiveReplyLayout, LiveRequestLayout, MAGIC, MAX_IN_FLIGHT, PictureLayout, ReplyLayout,
+    RequestLayout,
+};
 use trocar_proto::{Code, PROTOCOL_VERSION, Rejection, TaskSpec};
 
 use super::ports::REPLIES;
 use super::{ServeError, ServerConfig};
 use crate::registry::Registry;
+use crate::sim::motion::MAX_INSTRUMENTS;
 
 /// A control message that may be answered.
 #[derive(Debug, Clone, PartialEq)]
@@ -218,13 +223,23 @@ impl Admission {
                 format!("allowed is 1 to {} (serve --max-envs)", self.info.max_envs),
             ));
         }
+        if let Some(live) = &request.live {
+            live.check()?;
+            if request.envs != 1 {
+                let allowed = "a live world is one environment";
+                return Err(Rejection::new(Code::InvalidEnvCount, "envs", request.envs, allowed));
+            }
+        }
         let held = usage.clients.get(&pid).copied().unwrap_or_default();
         check_room(sessions, usage.files, pid, held.sessions)?;
         let view = request.view.as_ref();
         let view = view.map(|view| self.registry.view(&request.task, &request.options, view));
         let view = view.transpose()?.map(|imaging| PictureLayout::new(imaging.spec()));
         let footprint = Footprint {
-            shared: shared_bytes(request.envs as usize, &spec, view.as_ref()),
+            shared: match request.live {
+                None => shared_bytes(request.envs as usize, &spec, view.as_ref()),
+                Some(_) => live_bytes(&spec),
+            },
             private: u64::from(request.envs) * each,
         };
         self.quota.check(pid, held, request.envs, footprint.total())?;
@@ -321,6 +336,26 @@ pub(super) fn shared_bytes(envs: usize, spec: &TaskSpec, view: Option<&PictureLa
     let bytes = REPLIES * reply + requests * RequestLayout::new(envs, spec).bytes;
     bytes as u64 + SERVICE_BYTES
 }
+
+/// Shared memory that a session with a live world takes, bytes: an upper bound.
+fn live_bytes(spec: &TaskSpec) -> u64 {
+    let arm = ArmInfo {
+        name: String::new(),
+        joints: vec![],
+        raw_joints: vec![],
+        has_jaw: true,
+        world_from_base: [0.0; 7],
+    };
+    let objects = vec![String::new(); MOST_OBJECTS];
+    let info = LiveInfo { arms: vec![arm; MAX_INSTRUMENTS + 1], objects, speed: None };
+    let requests = 2 * MAX_IN_FLIGHT + 2;
+    let reply = LiveReplyLayout::new(&info, spec).bytes;
+    let bytes = REPLIES * reply + requests * LiveRequestLayout::new().bytes;
+    bytes as u64 + SERVICE_BYTES
+}
+
+/// More objects than any task has.
+const MOST_OBJECTS: usize = 64;
 
 /// Whether a message speaks this protocol.
 pub(super) fn check_header(header: &Header) -> Result<(), Rejection> {

@@ -14,6 +14,7 @@ use trocar_proto::{Code, Placement, Rejection};
 use super::admission::Footprint;
 use super::observer::LiveRecording;
 use super::scheduler::{Scheduler, SlotId};
+use super::shared_world::SharedWorld;
 use super::store::Store;
 use super::watch::Subscriptions;
 use crate::view::source::{SessionCard, Tally};
@@ -46,6 +47,8 @@ pub(super) struct Shared {
     /// What the task is like; nothing until the session is open.
     pub(super) nature: OnceLock<Nature>,
     pub(super) subscriptions: Subscriptions,
+    /// Its live world, where it has one.
+    pub(super) world: OnceLock<Arc<SharedWorld>>,
     /// Open files that it has still to take.
     pub(super) files_due: AtomicUsize,
 }
@@ -88,6 +91,12 @@ impl Shared {
             episodes: pace.tally.episodes(),
             success_rate: success_rate.filter(|_| nature.is_some_and(|nature| nature.has_goal)),
         }
+    }
+
+    /// The refusal of what its client asks for while it is being closed.
+    pub(super) fn being_closed(&self) -> Rejection {
+        let why = "the session is being closed";
+        Rejection::new(Code::UnknownSession, "session", self.id, why)
     }
 
     /// Does something with the session's snapshots.

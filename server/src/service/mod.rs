@@ -10,6 +10,9 @@
 //! | `liveness.rs` | which clients are alive: reclaims what dead clients leave |
 //! | `session.rs` | a session: answers its client's messages |
 //! | `handle.rs` | a session as others see it: the control loop, the viewer |
+//! | `batch_session.rs` | a session of environments: what its messages ask for |
+//! | `live_session.rs` | a session with a live world: what its messages ask for |
+//! | `shared_world.rs` | a live world of one or several sessions: time, events, which session drives which arm |
 //! | `batch.rs` | the environments of a session: reset, step, autoreset |
 //! | `drawing.rs` | pictures of environments, once all of a message were stepped |
 //! | `heap.rs` | gives memory back that sessions have freed |
@@ -27,12 +30,14 @@
 
 mod admission;
 mod batch;
+mod batch_session;
 mod control;
 mod cpus;
 mod drawing;
 mod exporter;
 mod handle;
 mod heap;
+mod live_session;
 mod liveness;
 mod meter;
 mod observer;
@@ -40,6 +45,7 @@ mod ports;
 mod rows;
 mod scheduler;
 mod session;
+mod shared_world;
 mod store;
 mod unfinished;
 mod watch;

@@ -1,35 +1,34 @@
 //! A session: answers its client's messages, one when it is its quantum.
 
-use std::collections::BTreeMap;
 use std::convert::Infallible;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::mpsc::{Sender, channel};
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 use std::time::{Duration, Instant};
 
-use trocar_proto::control::{
-    self, Autoreset, ClientInfo, ControlReply, SessionInfo, SessionRequest,
-};
+use trocar_proto::control::{self, ClientInfo, ControlReply, SessionInfo, SessionRequest};
+use trocar_proto::dvrk::LiveInfo;
 use trocar_proto::endpoint::{Endpoint, Node};
 use trocar_proto::missing_page::guarded;
 use trocar_proto::open_files::SESSION_FILES;
-use trocar_proto::wire::{
-    Header, MAX_IN_FLIGHT, PictureLayout, ReplyLayout, RequestLayout, flag, kind,
-};
-use trocar_proto::{Code, Rejection};
+use trocar_proto::spec::ImageSpec;
+use trocar_proto::wire::{Header, MAX_IN_FLIGHT};
+use trocar_proto::{Code, Rejection, TaskSpec};
 
 use super::admission::{self, Footprint};
-use super::batch::{self, Batch, BatchCommand};
+use super::batch_session::BatchSession;
 use super::handle::{Nature, Pace, SessionHandle, Shared};
 use super::internal;
-use super::meter::{Meter, TaskMeter};
-use super::observer::{Failures, LiveRecording, StepObserver};
+use super::live_session::LiveSession;
+use super::meter::Meter;
+use super::observer::{Failures, LiveRecording};
 use super::ports::{self, DataPorts, Request, Unreachable};
-use super::rows::Rows;
-use super::scheduler::{Entity, Poll, Polled, Quantum, Scheduler, SlotReservation, ThreadQuota};
-use super::store::{self, Ledger, Saved, Store};
+use super::scheduler::{
+    Entity, Poll, Polled, Quantum, Scheduler, SlotId, SlotReservation, ThreadQuota,
+};
+use super::store::{Ledger, Store};
 use super::watch::{Registration, Subscriptions, WatchRegistry};
-use crate::env::{Env, Imaging, Rebuild};
+use crate::env::Env;
 use crate::registry::Registry;
 
 /// What all sessions of a server share.
@@ -88,6 +87,7 @@ pub(super) fn open(
         recording: LiveRecording::default(),
         nature: OnceLock::new(),
         subscriptions: Subscriptions::default(),
+        world: OnceLock::new(),
         files_due: AtomicUsize::new(SESSION_FILES),
     });
     let meter = Arc::clone(&context.meter);
@@ -100,11 +100,17 @@ pub(super) fn open(
         let parcel = in_thread.lock().unwrap_or_else(PoisonError::into_inner).take();
         let Some((wanted, request)) = parcel else { return };
         let entity = Entity::new(&quota.threads);
-        match Session::open(Arc::clone(&context), quota, inner, &wanted, slot, life) {
-            Ok((session, info)) => {
+        let opened = match wanted.live {
+            None => BatchSession::new(&context, &inner, &wanted)
+                .and_then(|kind| Session::open(&context, quota, inner, &wanted, kind, slot, life)),
+            Some(live) => LiveSession::new(&context, &inner, &wanted, live)
+                .and_then(|kind| Session::open(&context, quota, inner, &wanted, kind, slot, life)),
+        };
+        match opened {
+            Ok(Opened { session, slot, info }) => {
                 ports::reply(&request, &ControlReply::OpenSession(info.into()));
                 drop(request);
-                context.scheduler.occupy(session.slot.id, entity, Box::new(session));
+                context.scheduler.occupy(slot, entity, session);
             }
             Err(refusal) => {
                 note_refusal(&context.meter, pid, &refusal);
@@ -126,24 +132,65 @@ pub(super) fn open(
     }
 }
 
+/// What a session holds, and what it does with its client's messages: environments that are stepped, or a live world.
+pub(super) trait SessionKind: Send + 'static {
+    /// What its client is told of it.
+    fn describe(&self) -> Description;
+
+    /// An environment like those that it has, for its snapshots.
+    fn like(&self) -> Arc<Env>;
+
+    /// Size of a reply to a request of this kind, bytes.
+    fn reply_bytes(&self, kind: u32) -> usize;
+
+    /// Size of its largest reply, bytes.
+    fn most_bytes(&self) -> usize;
+
+    /// Carries out a request, which was found at `start`, and writes its reply. Returns how many steps environments
+    /// took.
+    fn carry_out(
+        &mut self,
+        asked: &Header,
+        payload: &[u8],
+        reply: &mut [u8],
+        start: Instant,
+        quantum: &mut Quantum<'_>,
+    ) -> Result<u64, Rejection>;
+
+    /// Lets time pass that passes without requests.
+    fn pass_time(&mut self, _quantum: &mut Quantum<'_>) {}
+
+    /// Shows itself to the pages that watch.
+    fn show(&mut self);
+
+    /// The latest message took so much CPU time.
+    fn learn(&mut self, time: Duration);
+}
+
+/// What the client of a session is told of it.
+pub(super) struct Description {
+    pub(super) spec: TaskSpec,
+    pub(super) view: Option<Box<ImageSpec>>,
+    pub(super) live: Option<Box<LiveInfo>>,
+}
+
+/// A session that was opened.
+struct Opened {
+    session: Box<dyn Poll>,
+    slot: SlotId,
+    info: SessionInfo,
+}
+
 /// The server's side of a session.
-struct Session {
+struct Session<K> {
     context: Arc<ServerContext>,
     shared: Arc<Shared>,
-    meter: TaskMeter,
-    batch: Batch,
-    /// Whether the step after an episode's end resets instead of stepping.
-    next_step: bool,
-    request_layout: RequestLayout,
-    reply_layout: ReplyLayout,
-    /// How its environments are drawn when that is asked for.
-    view: Option<(Imaging, PictureLayout)>,
+    kind: K,
     ports: DataPorts,
-    inbox: Inbox,
     stats: SessionStats,
     // Dropped last, in this order: from then on its slot is free, and nothing is left of it.
     _registration: Registration,
-    slot: SlotReservation,
+    _slot: SlotReservation,
     _life: Sender<Infallible>,
 }
 
@@ -158,97 +205,60 @@ struct SessionStats {
     left: usize,
 }
 
-/// A request's arrays, copied out of shared memory before anything looks at them, since their
-/// client could still change them.
-#[derive(Debug, Default)]
-struct Inbox {
-    env_ids: Vec<u32>,
-    actions: Vec<f32>,
-    numbers: Vec<u64>,
-    episodes: Vec<u64>,
-}
-
-impl Session {
+impl<K: SessionKind> Session<K> {
     fn open(
-        context: Arc<ServerContext>,
+        context: &Arc<ServerContext>,
         quota: ClientQuota,
         shared: Arc<Shared>,
         wanted: &SessionRequest,
+        kind: K,
         slot: SlotReservation,
         life: Sender<Infallible>,
-    ) -> Result<(Self, SessionInfo), Rejection> {
-        let batch = Batch::new(&context.registry, wanted)?;
-        let spec = batch.spec();
-        let (envs, action_dim) = (wanted.envs as usize, spec.action_dim());
-        let request_layout = RequestLayout::new(envs, spec);
-        let reply_layout = ReplyLayout::new(envs, spec);
-        let (epoch, id) = (context.epoch, shared.id);
-        let view = wanted.view.as_ref();
-        let view = view.map(|view| context.registry.view(&wanted.task, &wanted.options, view));
-        let view = view.transpose()?.map(|imaging| {
-            let layout = PictureLayout::new(imaging.spec());
-            (imaging, layout)
-        });
-        let info = SessionInfo {
-            session: id,
-            epoch,
-            slot: slot.id.0,
-            envs: wanted.envs,
-            spec: (**spec).clone(),
-            view: view.as_ref().map(|(imaging, _)| Box::new(imaging.spec().clone())),
-        };
-        let most = view.as_ref().map_or(0, |(_, layout)| layout.bytes).max(reply_layout.bytes);
+    ) -> Result<Opened, Rejection> {
+        let Description { spec, view, live } = kind.describe();
+        let (epoch, id, envs) = (context.epoch, shared.id, wanted.envs);
         shared.nature.get_or_init(|| Nature {
             max_steps: spec.max_steps,
             seconds_per_step: spec.seconds_per_step,
             has_goal: spec.goal.is_some(),
         });
-        let store = Store::new(quota.ledger, batch.like());
+        let store = Store::new(quota.ledger, &kind.like());
         *shared.store.lock().unwrap_or_else(PoisonError::into_inner) = Some(store);
         // Starts may have taken long, and nothing may be put where the server has cleared away.
         if shared.stop.load(Ordering::Acquire) {
-            let why = "the session is being closed";
-            return Err(Rejection::new(Code::UnknownSession, "session", id, why));
+            return Err(shared.being_closed());
         }
         let no_room = |error: std::io::Error| {
-            Rejection::new(Code::MemoryBudget, "envs", wanted.envs, error.to_string())
+            Rejection::new(Code::MemoryBudget, "envs", envs, error.to_string())
         };
+        let most = kind.most_bytes();
         let ports = guarded(|| DataPorts::open(&context.node, &context.endpoint, epoch, id, most))
             .map_err(no_room)??;
         shared.files_due.store(ports::CONNECTION_FILES, Ordering::Relaxed);
         // What is promised to a client is its own from now on, whatever fills shared memory.
         context.endpoint.allocate("the session").map_err(no_room)?;
         let Shared { task, client, .. } = &*shared;
-        let (pid, language) = (client.pid, client.language.as_str());
-        tracing::info!(session = id, pid, language, task, envs, "session opened");
+        let (pid, language, is_live) = (client.pid, client.language.as_str(), live.is_some());
+        tracing::info!(session = id, pid, language, task, envs, is_live, "session opened");
         context.meter.opened();
+        let slot_id = slot.id;
+        let info = SessionInfo { session: id, epoch, slot: slot_id.0, envs, spec, view, live };
         let session = Self {
             ports,
-            inbox: Inbox {
-                env_ids: vec![0; envs],
-                actions: vec![0.0; envs * action_dim],
-                numbers: vec![0; envs],
-                episodes: vec![0; envs],
-            },
+            kind,
             stats: SessionStats {
                 opened: Instant::now(),
                 active: Instant::now(),
                 steps: 0,
                 left: MAX_IN_FLIGHT,
             },
-            meter: context.meter.task(&shared.task),
-            next_step: wanted.autoreset == Autoreset::NextStep,
-            batch,
-            request_layout,
-            reply_layout,
-            view,
             _registration: context.watch.register(id, Arc::clone(&shared)),
-            context,
+            context: Arc::clone(context),
             shared,
-            slot,
+            _slot: slot,
             _life: life,
         };
-        Ok((session, info))
+        Ok(Opened { session: Box::new(session), slot: slot_id, info })
     }
 
     /// Takes note that it ends.
@@ -268,7 +278,7 @@ impl Session {
             return Polled::Closed;
         }
         if self.shared.subscriptions.is_watched() {
-            self.shared.subscriptions.show(&self.batch);
+            self.kind.show();
         }
         Polled::Idle
     }
@@ -281,10 +291,7 @@ impl Session {
         quantum: &mut Quantum<'_>,
     ) -> (u64, bool) {
         let asked = *request.user_header();
-        let room = match &self.view {
-            Some((_, layout)) if asked.kind == kind::RENDER => layout.bytes,
-            _ => self.reply_layout.bytes,
-        };
+        let room = self.kind.reply_bytes(asked.kind);
         let mut response = match ports::loan(request, room) {
             Ok(response) => response,
             Err(error) => {
@@ -299,17 +306,14 @@ impl Session {
         };
         header.request = asked.request;
         header.flags = asked.flags;
-        let result = self.carry_out(&asked, request.payload(), response.payload_mut(), quantum);
-        let watched = self.shared.subscriptions.is_watched();
+        let (payload, reply) = (request.payload(), response.payload_mut());
+        let result = self
+            .check(&asked)
+            .and_then(|()| self.kind.carry_out(&asked, payload, reply, start, quantum));
         let steps = match result {
-            Ok(()) => {
+            Ok(steps) => {
                 header.rows = asked.rows;
-                if watched && asked.kind != kind::RENDER {
-                    let env_ids = &self.inbox.env_ids[..asked.rows as usize];
-                    let (layout, reply) = (&self.reply_layout, response.payload());
-                    self.shared.subscriptions.note(asked.kind, env_ids, layout, reply);
-                }
-                self.count(&asked, response.payload(), start.elapsed())
+                steps
             }
             Err(refusal) => {
                 self.context.meter.refused(refusal.code);
@@ -327,62 +331,16 @@ impl Session {
         if slept {
             self.ports.replies.wake();
         }
-        if watched {
+        if self.shared.subscriptions.is_watched() {
             // Its client goes on meanwhile.
-            self.shared.subscriptions.show(&self.batch);
+            self.kind.show();
         }
         (steps, slept)
     }
 
-    /// Counts what a request has done; returns how many steps environments took.
-    fn count(&self, asked: &Header, reply: &[u8], time: Duration) -> u64 {
-        let rows = asked.rows as usize;
-        if !matches!(asked.kind, kind::STEP | kind::RESET) {
-            return 0;
-        }
-        let steps: &[u32] = self.reply_layout.steps.view(reply, rows);
-        let faults: &[u8] = self.reply_layout.fault.view(reply, rows);
-        let begun = steps.iter().filter(|steps| **steps == 0).count() as u64;
-        let failed = faults.iter().filter(|fault| **fault != 0).count() as u64;
-        self.meter.resets.inc_by(begun);
-        self.meter.failures.inc_by(failed);
-        if asked.kind == kind::RESET {
-            return 0;
-        }
-        self.tally(reply, rows);
-        let steps = rows as u64 - if self.next_step { begun } else { 0 };
-        self.meter.steps.inc_by(steps);
-        self.meter.stepped(time);
-        steps
-    }
-
-    /// Counts the episodes that ended with a step.
-    fn tally(&self, reply: &[u8], rows: usize) {
-        let layout = &self.reply_layout;
-        let terminated: &[u8] = layout.terminated.view(reply, rows);
-        let truncated: &[u8] = layout.truncated.view(reply, rows);
-        let is_success: &[u8] = layout.is_success.view(reply, rows);
-        let any = |flags: &[u8]| flags.iter().fold(0, |any, flag| any | flag) != 0;
-        if any(terminated) || any(truncated) {
-            let mut pace = self.shared.pace.lock().unwrap_or_else(PoisonError::into_inner);
-            for row in (0..rows).filter(|row| terminated[*row] | truncated[*row] != 0) {
-                pace.tally.ended(is_success[row] != 0);
-            }
-        }
-    }
-
-    /// Does what is asked.
-    fn carry_out(
-        &mut self,
-        asked: &Header,
-        payload: &[u8],
-        reply: &mut [u8],
-        quantum: &mut Quantum<'_>,
-    ) -> Result<(), Rejection> {
+    /// Whether a request is one of this session's.
+    fn check(&self, asked: &Header) -> Result<(), Rejection> {
         admission::check_header(asked)?;
-        let malformed = |field: &str, value: u64, allowed: String| {
-            Rejection::new(Code::Malformed, field, value, allowed)
-        };
         if (asked.epoch, asked.session) != (self.context.epoch, self.shared.id) {
             return Err(Rejection::new(
                 Code::StaleSession,
@@ -391,85 +349,7 @@ impl Session {
                 format!("this is {} of run {:016x}", self.shared.id, self.context.epoch),
             ));
         }
-        let rows = asked.rows as usize;
-        if !(1..=self.shared.envs as usize).contains(&rows) {
-            let allowed = format!("allowed is 1 to {}", self.shared.envs);
-            return Err(malformed("header.rows", rows as u64, allowed));
-        }
-        if payload.len() < self.request_layout.bytes {
-            let allowed = format!("expected {} bytes", self.request_layout.bytes);
-            return Err(malformed("payload", payload.len() as u64, allowed));
-        }
-        let Inbox { env_ids, actions, numbers, episodes } = &mut self.inbox;
-        let layout = &self.request_layout;
-        let seeded = asked.kind == kind::RESET && asked.flags & flag::HAS_SEEDS != 0;
-        if seeded {
-            episodes[..rows].copy_from_slice(layout.episodes.view(payload, rows));
-        }
-        if seeded || asked.kind > kind::STEP {
-            numbers[..rows].copy_from_slice(layout.numbers.view(payload, rows));
-        }
-        let numbers = &numbers[..rows];
-        env_ids[..rows].copy_from_slice(layout.env_ids.view(payload, rows));
-        let env_ids = &env_ids[..rows];
-        if asked.kind == kind::RENDER {
-            let Some((imaging, layout)) = &self.view else {
-                let why = "the session was opened without a view; open it with one";
-                return Err(Rejection::new(Code::Unsupported, "render", "no view", why));
-            };
-            return if asked.flags & flag::DEPTH == 0 {
-                let rgb = layout.rgb.view_mut(reply, 1);
-                self.batch.draw(env_ids, imaging, rgb, &mut [], quantum)
-            } else {
-                let depth = layout.depth.view_mut(reply, 1);
-                self.batch.draw(env_ids, imaging, &mut [], depth, quantum)
-            };
-        }
-        let mut out = Rows::of(&self.reply_layout, reply, rows);
-        let states;
-        let command = match asked.kind {
-            kind::STEP => {
-                let sent: &[f32] = layout.actions.view(payload, rows);
-                actions[..sent.len()].copy_from_slice(sent);
-                BatchCommand::Step(&actions[..sent.len()])
-            }
-            kind::RESET => BatchCommand::Reset(seeded.then_some((numbers, &episodes[..rows]))),
-            kind::SNAPSHOT => {
-                let mut room = self.shared.with_store(|store| store.make_room(rows))?;
-                let copies = self.batch.copies(env_ids, quantum)?;
-                self.shared.with_store(|store| {
-                    for (row, copy) in copies.into_iter().enumerate() {
-                        out.snapshot.row(row)[0] = store.put(&mut room, Saved::State(copy));
-                    }
-                    Ok(())
-                })?;
-                return Ok(());
-            }
-            kind::RESTORE => {
-                states = saved(&self.shared, &self.batch, numbers, quantum)?;
-                BatchCommand::Restore(&states)
-            }
-            kind::ARRANGE => {
-                let placements = self.shared.with_store(|store| {
-                    numbers.iter().map(|number| store.placement(*number)).collect::<Result<_, _>>()
-                })?;
-                states = self.batch.arranged(env_ids, placements, quantum)?;
-                BatchCommand::Restore(&states)
-            }
-            kind::FORK => {
-                states = self.batch.sources(numbers, quantum)?;
-                BatchCommand::Restore(&states)
-            }
-            other => {
-                let (first, last) = (kind::RESET, kind::ARRANGE);
-                let allowed = format!("allowed are {first} (reset) to {last} (arrange)");
-                return Err(malformed("header.kind", other.into(), allowed));
-            }
-        };
-        let want_expert = asked.flags & flag::WANT_EXPERT != 0;
-        let failures = self.context.failures.as_ref();
-        let observer = StepObserver { failures, recording: &self.shared.recording };
-        self.batch.apply(command, env_ids, want_expert, observer, out, quantum)
+        Ok(())
     }
 
     fn note(&self, start: Instant, steps: u64) {
@@ -477,12 +357,13 @@ impl Session {
     }
 }
 
-impl Poll for Session {
+impl<K: SessionKind> Poll for Session<K> {
     fn poll(&mut self, quantum: &mut Quantum<'_>) -> Polled {
         if self.shared.stop.load(Ordering::Acquire) || self.stats.left == 0 {
             self.end();
             return Polled::Closed;
         }
+        self.kind.pass_time(quantum);
         // Asked before a request is looked for: what arrived by then is answered.
         let finish = self.shared.finish.load(Ordering::Acquire);
         let connects = self.shared.files_due.load(Ordering::Relaxed) > 0 && self.ports.has_client();
@@ -511,53 +392,11 @@ impl Poll for Session {
     }
 
     fn computed(&mut self, time: Duration) {
-        self.batch.learn(time);
+        self.kind.learn(time);
     }
 
     fn failed(&mut self) {
         self.context.meter.closed("failed");
         tracing::error!(session = self.shared.id, "answering a session panicked; it is closed");
     }
-}
-
-/// The states that a session keeps under these numbers; imported ones are rebuilt first.
-fn saved(
-    shared: &Shared,
-    batch: &Batch,
-    numbers: &[u64],
-    quantum: &mut Quantum<'_>,
-) -> Result<Vec<Arc<Env>>, Rejection> {
-    let found: Vec<Saved> =
-        shared.with_store(|store| numbers.iter().map(|number| store.get(*number)).collect())?;
-    let mut recipes = BTreeMap::new();
-    for (number, saved) in numbers.iter().zip(&found) {
-        match saved {
-            Saved::State(_) => {}
-            Saved::Recipe(recipe) => {
-                recipes.insert(*number, Arc::clone(recipe));
-            }
-            Saved::Placement(_) => return Err(store::no_state(*number)),
-        }
-    }
-    let rebuilds = recipes.values().map(|recipe| Rebuild::new(batch.like(), (**recipe).clone()));
-    let go_on = || !shared.stop.load(Ordering::Acquire);
-    let Some(rebuilt) = batch::rebuild(rebuilds.collect(), quantum, go_on) else {
-        let why = "the session is being closed";
-        return Err(Rejection::new(Code::UnknownSession, "session", shared.id, why));
-    };
-    let mut states = BTreeMap::new();
-    for (number, env) in recipes.into_keys().zip(rebuilt) {
-        states.insert(number, Arc::new(env?));
-    }
-    shared.with_store(|store| {
-        for (number, state) in &states {
-            store.replace(*number, state);
-        }
-        Ok(())
-    })?;
-    let state = |(number, saved): (&u64, Saved)| match saved {
-        Saved::State(env) => env,
-        Saved::Recipe(_) | Saved::Placement(_) => Arc::clone(&states[number]),
-    };
-    Ok(numbers.iter().zip(found).map(state).collect())
 }

@@ -8,7 +8,6 @@ use std::time::{Duration, Instant};
 
 use trocar_proto::wire::{ReplyLayout, kind};
 
-use super::batch::Batch;
 use super::handle::Shared;
 use crate::env::Env;
 use crate::view::source::{About, FrameChannel, Mark, Moment, Pace, SessionCard, Source};
@@ -37,6 +36,11 @@ impl WatchRegistry {
     pub(super) fn register(self: &Arc<Self>, id: u64, session: Arc<Shared>) -> Registration {
         self.lock().insert(id, session);
         Registration { watch: Arc::clone(self), id }
+    }
+
+    /// The open session of this number.
+    pub(super) fn session(&self, id: u64) -> Option<Arc<Shared>> {
+        self.lock().get(&id).cloned()
     }
 
     fn lock(&self) -> MutexGuard<'_, BTreeMap<u64, Arc<Shared>>> {
@@ -181,8 +185,14 @@ impl Subscriptions {
         }
     }
 
+    /// Takes note that the environments are not as they were shown, without a message that said so.
+    pub(super) fn note_change(&self) {
+        let Some(mut subscriptions) = self.try_lock() else { return };
+        subscriptions.iter_mut().for_each(|subscription| subscription.has_changed = true);
+    }
+
     /// Puts into the channels what is wanted and due.
-    pub(super) fn show(&self, batch: &Batch) {
+    pub(super) fn show<'a>(&self, env_of: impl Fn(u32) -> &'a Env) {
         let Some(mut subscriptions) = self.try_lock() else { return };
         subscriptions.retain(|subscription| !subscription.channel.is_closed());
         if subscriptions.is_empty() {
@@ -190,7 +200,7 @@ impl Subscriptions {
         }
         let share = SHARE * subscriptions.len() as u32;
         for subscription in &mut *subscriptions {
-            let env = batch.env(subscription.env);
+            let env = env_of(subscription.env);
             if subscription.has_changed && env.was_reset() {
                 subscription.has_changed = false;
                 match subscription.channel.pace() {
@@ -266,7 +276,7 @@ mod tests {
     use super::super::observer::{LiveRecording, StepObserver};
     use super::*;
     use crate::registry::Registry;
-    use crate::service::batch::BatchCommand;
+    use crate::service::batch::{Batch, BatchCommand};
     use crate::service::rows::Rows;
     use crate::service::scheduler::tests::TestScheduler;
     use crate::service::scheduler::{Entity, ThreadQuota};
@@ -301,7 +311,7 @@ mod tests {
             })
             .unwrap();
             self.subscriptions.note(kind, env_ids, &self.layout, bytemuck::cast_slice(&self.reply));
-            self.subscriptions.show(&self.batch);
+            self.subscriptions.show(|env| self.batch.env(env));
         }
 
         fn reset(&mut self) {
@@ -330,7 +340,7 @@ mod tests {
         let mut stage = Stage::new(Autoreset::NextStep);
         let channel = FrameChannel::new(Pace::Live);
         stage.subscriptions.open(1, &channel);
-        stage.subscriptions.show(&stage.batch); // never reset: nothing to see
+        stage.subscriptions.show(|env| stage.batch.env(env)); // never reset: nothing to see
         channel.ask();
         stage.reset();
         for _ in 0..7 {
@@ -338,11 +348,11 @@ mod tests {
         }
         stage.step(&[0, 2]);
         std::thread::sleep(PERIOD);
-        stage.subscriptions.show(&stage.batch); // not wanted yet
+        stage.subscriptions.show(|env| stage.batch.env(env)); // not wanted yet
         channel.ask();
         // However long it takes until this one is due.
         while channel.is_wanted() {
-            stage.subscriptions.show(&stage.batch);
+            stage.subscriptions.show(|env| stage.batch.env(env));
         }
         let moments = taken(&channel);
         assert_eq!(moments.iter().map(|each| each.steps).collect::<Vec<_>>(), [0, 7]);
@@ -393,7 +403,7 @@ mod tests {
         let subscriptions = std::mem::take(&mut stage.subscriptions);
         let busy = subscriptions.all.lock().unwrap();
         subscriptions.note(kind::STEP, &[0], &stage.layout, bytemuck::cast_slice(&stage.reply));
-        subscriptions.show(&stage.batch);
+        subscriptions.show(|env| stage.batch.env(env));
         drop(busy);
         assert!(channel.is_wanted() && taken(&channel).is_empty());
     }

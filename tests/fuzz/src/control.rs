@@ -184,8 +184,15 @@ fn requests() -> Vec<ControlRequest> {
 
 fn replies() -> Vec<ControlReply> {
     let spec = REGISTRY.spec("EcmReach-v0", &Options::new()).expect("a task");
-    let info =
-        SessionInfo { session: 1, epoch: 2, slot: 3, envs: 4, spec: spec.clone(), view: None };
+    let info = SessionInfo {
+        session: 1,
+        epoch: 2,
+        slot: 3,
+        envs: 4,
+        spec: spec.clone(),
+        view: None,
+        live: None,
+    };
     vec![
         ControlReply::Hello(ADMISSION.info().clone()),
         ControlReply::ListTasks(REGISTRY.ids().map(str::to_string).collect()),

@@ -74,7 +74,7 @@ impl ArmController {
         }
         match angle {
             [angle] if command::is_position(*angle) => Ok(*angle),
-            [_] => Err(Error::NotFinite { command, index: 0 }),
+            [value] => Err(Error::NotFinite { command, index: 0, value: *value }),
             _ => Err(Error::WrongCount { command, got: angle.len(), expected: 1 }),
         }
     }

@@ -151,7 +151,7 @@ impl ArmController {
             return Err(Error::WrongCount { command, got, expected });
         }
         match numbers.iter().position(|value| !command::is_position(*value)) {
-            Some(index) => Err(Error::NotFinite { command, index }),
+            Some(index) => Err(Error::NotFinite { command, index, value: numbers[index] }),
             None => Ok(numbers.iter().copied().collect()),
         }
     }
@@ -391,7 +391,9 @@ impl ArmController {
 /// The pose of a message, or why there is none.
 pub(super) fn read(command: &'static str, message: &PoseMessage) -> Result<Pose, Error> {
     message.pose().map_err(|malformed| match malformed {
-        Malformed::Position(index) => Error::NotFinite { command, index },
+        Malformed::Position(index) => {
+            Error::NotFinite { command, index, value: message.position[index] }
+        }
         Malformed::Orientation => Error::NotARotation { command },
     })
 }

@@ -2,9 +2,12 @@
 
 use nalgebra::{Matrix6xX, Vector3, Vector6};
 
+use trocar_proto::dvrk::record::{ArmRecord, Text};
+
 use super::{ArmController, Motion, Stamp};
 use crate::dvrk::command::PoseMessage;
 use crate::dvrk::mechanism::{self, Mechanism, NoSolution, Pose};
+use crate::dvrk::numbers_of;
 use crate::dvrk::planner::Axes;
 
 /// Positions, velocities and efforts of joints (`sensor_msgs/JointState`).
@@ -55,6 +58,44 @@ impl ArmController {
     pub fn ratio(&self) -> f64 {
         let [velocity, acceleration] = self.ratios;
         if velocity == acceleration { velocity } else { 0.0 }
+    }
+
+    /// All that a client reads of it at once.
+    pub fn record(&self) -> ArmRecord {
+        let mut record = ArmRecord::in_state(self.operating_state());
+        record.stamp = self.stamp().nanoseconds();
+        record.has_tool = u32::from(self.tool.is_some());
+        record.ratio = self.ratio();
+        record.base_frame = numbers_of(self.base_frame());
+        record.reference_frame = Text::new(self.reference_frame());
+        let fill = |room: &mut [f64], numbers: &[f64]| {
+            let count = numbers.len().min(room.len());
+            room[..count].copy_from_slice(&numbers[..count]);
+        };
+        let axes = |of: &Motion| {
+            if self.tool.is_some() {
+                return (of.position.clone(), of.velocity.clone());
+            }
+            let raw = self.joint_state(of);
+            (raw.position, raw.velocity)
+        };
+        let [measured, setpoint] = [axes(&self.measured), axes(&self.setpoint)];
+        fill(&mut record.measured_position, &measured.0);
+        fill(&mut record.measured_velocity, &measured.1);
+        fill(&mut record.setpoint_position, &setpoint.0);
+        fill(&mut record.setpoint_velocity, &setpoint.1);
+        if let (Some(measured), Some(setpoint)) =
+            (self.local_measured_cp(), self.local_setpoint_cp())
+        {
+            let [in_reference, to] = [self.base_frame() * measured, self.base_frame() * setpoint];
+            record.local_measured_cp = numbers_of(&measured);
+            record.local_setpoint_cp = numbers_of(&setpoint);
+            (record.measured_cp, record.setpoint_cp) = (numbers_of(&in_reference), numbers_of(&to));
+        }
+        if let Some(twist) = self.measured_cv() {
+            record.measured_cv.copy_from_slice(twist.as_slice());
+        }
+        record
     }
 
     /// What the encoders of all axes say, the jaw behind the joints: rad; index 2 in m.

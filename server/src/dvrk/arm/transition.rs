@@ -1,6 +1,7 @@
 //! Operating states: commands that change them, and faults.
 
-use super::{ArmController, Homing, Mode, Progress, Space, quoted, zeros};
+use super::{ArmController, Mode, Progress, Space, quoted, zeros};
+use crate::dvrk::Homing;
 use crate::dvrk::command::StateCommand;
 use crate::dvrk::event::{Error, Warning, What};
 use crate::dvrk::planner::Trajectory;

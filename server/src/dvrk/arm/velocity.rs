@@ -19,7 +19,7 @@ impl ArmController {
         twist: &[f64; 6],
     ) -> Result<Vector6<f64>, Error> {
         if let Some(index) = twist.iter().position(|value| !command::is_position(*value)) {
-            return Err(Error::NotFinite { command, index });
+            return Err(Error::NotFinite { command, index, value: twist[index] });
         }
         let base_from_reference = self.base.reference_from_base.rotation.inverse();
         let turned = |of: usize| base_from_reference * Vector3::from_row_slice(&twist[of..of + 3]);

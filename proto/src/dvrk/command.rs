@@ -1,11 +1,11 @@
 //! What a client may ask of an arm: values of one enum, whichever way they came.
 //!
-//! Commands hold what was sent, and may hold anything: the [controller](super::ArmController) checks them. Vectors are
+//! Commands hold what was sent, and may hold anything: the server's controller of the arm checks them. Vectors are
 //! in the order of the joints: rad, rad/s; m and m/s for the insertion (index 2).
 
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 
-use super::mechanism::Pose;
+use super::Pose;
 
 /// Jaw angle to which `jaw.close()` of dVRK's Python client goes, rad: −20°.
 pub const JAW_CLOSE: f64 = -20.0 * DEGREE;
@@ -50,7 +50,7 @@ impl PoseMessage {
     }
 
     /// The pose that the numbers are, or what is wrong with them.
-    pub(super) fn pose(&self) -> Result<Pose, Malformed> {
+    pub fn pose(&self) -> Result<Pose, Malformed> {
         if let Some(index) = self.position.iter().position(|value| !is_position(*value)) {
             return Err(Malformed::Position(index));
         }
@@ -67,7 +67,7 @@ impl PoseMessage {
 
 /// What is wrong with a pose.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Malformed {
+pub enum Malformed {
     /// A coordinate, from 0, is a NaN, infinite or absurdly large.
     Position(usize),
     /// The quaternion is not of length 1.
@@ -75,7 +75,7 @@ pub(super) enum Malformed {
 }
 
 /// Whether a number can be a position.
-pub(super) fn is_position(value: f64) -> bool {
+pub fn is_position(value: f64) -> bool {
     value.abs() <= LARGEST
 }
 
@@ -165,7 +165,7 @@ pub enum Command {
     },
     /// As [`Self::ServoJp`], from the set-point.
     ServoJr(Vec<f64>),
-    /// Velocities of joints, for [`VELOCITY_SECONDS`](super::VELOCITY_SECONDS) at most. CRTK has this, dVRK has not.
+    /// Velocities of joints, for 0.1 s at most. CRTK has this, dVRK has not.
     ServoJv(Vec<f64>),
     /// A pose to be at in the next tick.
     ServoCp(PoseMessage),

@@ -29,7 +29,7 @@ impl State {
     }
 
     /// Whether a command means something in this state.
-    pub(super) fn takes(self, command: &StateCommand) -> bool {
+    pub fn takes(self, command: &StateCommand) -> bool {
         use StateCommand::{Disable, Enable, Home, Pause, Resume, Unhome};
         match self {
             Self::Disabled | Self::Fault => matches!(command, Enable | Disable | Unhome),

@@ -1,0 +1,254 @@
+//! A session with a live world: commands to its arms, ticks, and what became of them.
+
+use std::convert::Infallible;
+use std::sync::Arc;
+use std::sync::atomic::Ordering;
+use std::sync::mpsc::{RecvTimeoutError, Sender, channel};
+use std::time::{Duration, Instant};
+
+use trocar_proto::control::SessionRequest;
+use trocar_proto::dvrk::LiveRequest;
+use trocar_proto::dvrk::record::{CommandRecord, QuestionRecord};
+use trocar_proto::wire::{
+    Header, LiveReplyLayout, LiveRequestLayout, MAX_COMMANDS, MAX_TICKS, flag, kind,
+};
+use trocar_proto::{Code, Rejection};
+
+use super::handle::Shared;
+use super::internal;
+use super::scheduler::{Quantum, Scheduler, SlotId, Splittable};
+use super::session::{Description, ServerContext, SessionKind};
+use super::shared_world::{Driver, Passed, SharedWorld};
+use crate::env::Env;
+
+/// Ticks that are simulated between two looks at the quantum: a few hundred microseconds.
+const TICKS_AT_ONCE: u32 = 12;
+
+/// Shortest pause of a paced world between two looks at what is due.
+const SHORTEST_PAUSE: Duration = Duration::from_millis(1);
+
+/// A session's part in a live world.
+pub(super) struct LiveSession {
+    shared: Arc<Shared>,
+    world: Arc<SharedWorld>,
+    is_maker: bool,
+    request_layout: LiveRequestLayout,
+    reply_layout: LiveReplyLayout,
+    /// A request's commands, copied out of shared memory before anything looks at them.
+    commands: Vec<CommandRecord>,
+    /// Events that its client was told.
+    heard: u64,
+    /// Expected CPU time of a few ticks.
+    cost: Duration,
+    _timer: Option<Timer>,
+}
+
+impl LiveSession {
+    /// A session with a world of its own, or with that of another session.
+    pub(super) fn new(
+        context: &Arc<ServerContext>,
+        shared: &Arc<Shared>,
+        wanted: &SessionRequest,
+        live: LiveRequest,
+    ) -> Result<Self, Rejection> {
+        let world = match live.world {
+            None => Arc::new(SharedWorld::new(&context.registry, wanted, live)?),
+            Some(session) => {
+                let found = context.watch.session(session);
+                let world = found.and_then(|shared| shared.world.get().cloned());
+                let world = world.ok_or_else(|| {
+                    let why = "no open session of this number has a live world";
+                    Rejection::new(Code::UnknownSession, "live.world", session, why)
+                })?;
+                world.check_shared(wanted)?;
+                world
+            }
+        };
+        let is_maker = live.world.is_none();
+        let timer = match world.period() {
+            Some(period) if is_maker => {
+                Some(Timer::start(&context.scheduler, shared.slot, period.max(SHORTEST_PAUSE))?)
+            }
+            _ => None,
+        };
+        let world = shared.world.get_or_init(|| world);
+        let spec = world.with_env(|env| env.spec().clone());
+        Ok(Self {
+            reply_layout: LiveReplyLayout::new(world.info(), &spec),
+            request_layout: LiveRequestLayout::new(),
+            commands: Vec::with_capacity(MAX_COMMANDS),
+            heard: 0,
+            cost: Duration::from_micros(200),
+            world: Arc::clone(world),
+            shared: Arc::clone(shared),
+            is_maker,
+            _timer: timer,
+        })
+    }
+
+    /// Does what commands ask for, and lets time pass.
+    fn live(
+        &mut self,
+        asked: &Header,
+        payload: &[u8],
+        reply: &mut [u8],
+        quantum: &mut Quantum<'_>,
+    ) -> Result<(), Rejection> {
+        let rows = asked.rows as usize;
+        let refuse = |field: &str, value: usize, most: usize| {
+            let allowed = format!("allowed is 0 to {most}");
+            Rejection::new(Code::Malformed, field, value, allowed)
+        };
+        if rows > MAX_COMMANDS {
+            return Err(refuse("header.rows", rows, MAX_COMMANDS));
+        }
+        let layout = &self.request_layout;
+        let ticks = layout.ticks.view::<u32>(payload, 1)[0];
+        if ticks > MAX_TICKS {
+            return Err(refuse("ticks", ticks as usize, MAX_TICKS as usize));
+        }
+        self.commands.clear();
+        self.commands.extend_from_slice(&layout.commands.view(payload, 1)[..rows]);
+        let driver = Driver { session: self.shared.id, pid: self.shared.client.pid };
+        self.world.command(driver, &self.commands)?;
+        let until_event = asked.flags & flag::UNTIL_EVENT != 0;
+        let mut passed = Passed::default();
+        while passed.ticks < ticks && !(until_event && passed.has_told) {
+            if self.shared.stop.load(Ordering::Acquire) {
+                return Err(self.shared.being_closed());
+            }
+            let most = (ticks - passed.ticks).min(TICKS_AT_ONCE);
+            let (world, mut now) = (&self.world, Ok(Passed::default()));
+            quantum.run(Whole::new(|| now = world.advance(most, until_event)), self.cost);
+            let now = now?;
+            passed.ticks += now.ticks;
+            passed.has_told |= now.has_told;
+        }
+        if passed.ticks > 0 {
+            self.shared.subscriptions.note_change();
+        }
+        self.world.write(&self.reply_layout, reply, passed, &mut self.heard)
+    }
+}
+
+impl SessionKind for LiveSession {
+    fn describe(&self) -> Description {
+        Description {
+            spec: self.world.with_env(|env| env.spec().clone()),
+            view: None,
+            live: Some(Box::new(self.world.info().clone())),
+        }
+    }
+
+    fn like(&self) -> Arc<Env> {
+        Arc::new(self.world.with_env(Env::clone))
+    }
+
+    fn reply_bytes(&self, _: u32) -> usize {
+        self.reply_layout.bytes
+    }
+
+    fn most_bytes(&self) -> usize {
+        self.reply_layout.bytes
+    }
+
+    fn carry_out(
+        &mut self,
+        asked: &Header,
+        payload: &[u8],
+        reply: &mut [u8],
+        _: Instant,
+        quantum: &mut Quantum<'_>,
+    ) -> Result<u64, Rejection> {
+        if payload.len() < self.request_layout.bytes {
+            let allowed = format!("expected {} bytes", self.request_layout.bytes);
+            return Err(Rejection::new(Code::Malformed, "payload", payload.len(), allowed));
+        }
+        match asked.kind {
+            kind::LIVE => self.live(asked, payload, reply, quantum)?,
+            kind::ASK => {
+                let question: QuestionRecord = self.request_layout.question.view(payload, 1)[0];
+                self.reply_layout.answer.view_mut(reply, 1)[0] = self.world.answer(&question)?;
+            }
+            other => {
+                let (live, ask) = (kind::LIVE, kind::ASK);
+                let allowed = format!("a session with a live world takes {live} and {ask}");
+                return Err(Rejection::new(Code::Malformed, "header.kind", other, allowed));
+            }
+        }
+        Ok(0)
+    }
+
+    fn pass_time(&mut self, quantum: &mut Quantum<'_>) {
+        if self.world.info().speed.is_none() {
+            return;
+        }
+        let (world, mut is_due) = (&self.world, true);
+        while is_due && !self.shared.stop.load(Ordering::Acquire) {
+            quantum.run(Whole::new(|| is_due = world.catch_up(TICKS_AT_ONCE)), self.cost);
+        }
+        self.shared.subscriptions.note_change();
+    }
+
+    fn show(&mut self) {
+        self.world.with_env(|env| self.shared.subscriptions.show(|_| env));
+    }
+
+    fn learn(&mut self, _: Duration) {}
+}
+
+impl Drop for LiveSession {
+    fn drop(&mut self) {
+        self.world.leave(self.shared.id, self.is_maker);
+    }
+}
+
+/// Work in one piece.
+struct Whole<F>(Option<F>);
+
+impl<F: FnOnce() + Send> Whole<F> {
+    fn new(work: F) -> Self {
+        Self(Some(work))
+    }
+}
+
+impl<F: FnOnce() + Send> Splittable for Whole<F> {
+    fn len(&self) -> usize {
+        usize::from(self.0.is_some())
+    }
+
+    fn split_at(self, at: usize) -> (Self, Self) {
+        if at == 0 { (Self(None), self) } else { (self, Self(None)) }
+    }
+
+    fn run(self) {
+        if let Some(work) = self.0 {
+            work();
+        }
+    }
+}
+
+/// Has a session polled at the pace of its world, until this is dropped.
+struct Timer(
+    #[expect(dead_code, reason = "its end is what the thread waits for")] Sender<Infallible>,
+);
+
+impl Timer {
+    fn start(
+        scheduler: &Arc<Scheduler>,
+        slot: SlotId,
+        period: Duration,
+    ) -> Result<Self, Rejection> {
+        let (stop, stopped) = channel();
+        let scheduler = Arc::clone(scheduler);
+        let thread = std::thread::Builder::new().name(format!("trocar-pace-{}", slot.0));
+        thread
+            .spawn(move || {
+                while stopped.recv_timeout(period) == Err(RecvTimeoutError::Timeout) {
+                    scheduler.schedule(slot);
+                }
+            })
+            .map_err(internal("thread"))?;
+        Ok(Self(stop))
+    }
+}

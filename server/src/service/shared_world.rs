@@ -1,0 +1,411 @@
+//! A live world of one or several sessions: its time, what its arms told, and which session drives which arm.
+//!
+//! - The session that makes a world owns it: the world ends with that session. Others may share it.
+//! - The first session that commands an arm drives it. Commands of other sessions to that arm are refused by name.
+//! - A session that ends, however that is, frees its arms, which then hold.
+//! - In lock-step, time passes by the ticks that any of its sessions asks for. Else it passes at the world's pace. Time
+//!   for which the server had no processor is left out: the world is then late, and never hurries.
+
+use std::collections::VecDeque;
+use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::time::{Duration, Instant};
+
+use arrayvec::ArrayVec;
+use trocar_proto::control::SessionRequest;
+use trocar_proto::dvrk::record::{
+    AnswerRecord, CommandRecord, EventRecord, Question, QuestionRecord, WorldRecord,
+};
+use trocar_proto::dvrk::{
+    ArmInfo, Command, Event, LiveInfo, LiveRequest, PoseMessage, State, TICKS_PER_SECOND,
+};
+use trocar_proto::wire::{LiveReplyLayout, MAX_EVENTS};
+use trocar_proto::{Code, Rejection};
+
+use crate::dvrk::{ArmController, Pose};
+use crate::env::{Env, LiveWorld};
+use crate::error::StepError;
+use crate::registry::Registry;
+use crate::sim::motion::MAX_INSTRUMENTS;
+
+/// Events that are kept for sessions that have not fetched them yet.
+const MOST_EVENTS: usize = 4096;
+
+/// Furthest that a paced world may be behind before it leaves time out.
+const LATEST: Duration = Duration::from_millis(100);
+
+/// A live world, and what its sessions have of it.
+pub(super) struct SharedWorld {
+    /// What it was made with.
+    request: SessionRequest,
+    info: LiveInfo,
+    state: Mutex<WorldState>,
+}
+
+/// What changes.
+struct WorldState {
+    world: LiveWorld,
+    /// Which session drives each arm.
+    drivers: ArrayVec<Option<Driver>, { MAX_INSTRUMENTS + 1 }>,
+    events: VecDeque<EventRecord>,
+    /// Events that were told since the world began.
+    told: u64,
+    ticks: u64,
+    clock: Option<Clock>,
+    /// Why no time passes any more, if that is so.
+    over: Option<Rejection>,
+}
+
+/// A session that drives an arm.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) struct Driver {
+    pub(super) session: u64,
+    /// The client's process.
+    pub(super) pid: u32,
+}
+
+/// The pace of a world.
+struct Clock {
+    ticks_per_second: f64,
+    /// When the world had passed `ticks`.
+    since: Instant,
+    ticks: u64,
+    /// Ticks that were left out.
+    late: u64,
+}
+
+/// What a message let pass.
+#[derive(Debug, Clone, Copy, Default)]
+pub(super) struct Passed {
+    pub(super) ticks: u32,
+    /// An arm told something meanwhile.
+    pub(super) has_told: bool,
+}
+
+impl SharedWorld {
+    /// The world that a session asks for.
+    pub(super) fn new(
+        registry: &Registry,
+        request: &SessionRequest,
+        live: LiveRequest,
+    ) -> Result<Self, Rejection> {
+        let mut env = registry.make(&request.task, &request.options)?;
+        env.reset(Some(request.seed));
+        let world = LiveWorld::new(env, live.homing)?;
+        let arms = world.arms().map(|arm| arm_info(&world, arm)).collect();
+        let objects = world.objects().map(|(name, _)| name.to_string()).collect();
+        let info = LiveInfo { arms, objects, speed: live.speed };
+        let clock = live.speed.map(|speed| Clock {
+            ticks_per_second: TICKS_PER_SECOND as f64 * speed,
+            since: Instant::now(),
+            ticks: 0,
+            late: 0,
+        });
+        let state = WorldState {
+            drivers: info.arms.iter().map(|_| None).collect(),
+            events: VecDeque::with_capacity(MOST_EVENTS),
+            told: 0,
+            ticks: 0,
+            clock,
+            over: None,
+            world,
+        };
+        Ok(Self { request: request.clone(), info, state: Mutex::new(state) })
+    }
+
+    /// The world as its clients see it.
+    pub(super) fn info(&self) -> &LiveInfo {
+        &self.info
+    }
+
+    /// How long a tick takes at its pace, where it has one.
+    pub(super) fn period(&self) -> Option<Duration> {
+        self.info
+            .speed
+            .map(|speed| Duration::from_secs_f64(1.0 / (TICKS_PER_SECOND as f64 * speed)))
+    }
+
+    /// Whether a session that wants this may share it.
+    pub(super) fn check_shared(&self, wanted: &SessionRequest) -> Result<(), Rejection> {
+        let refuse = |field: &str, value: String, is: String| {
+            let allowed = format!("the world that is to be shared has {is}");
+            Err(Rejection::new(Code::InvalidOption, field, value, allowed))
+        };
+        let own = &self.request;
+        let speed = wanted.live.and_then(|live| live.speed);
+        if wanted.task != own.task {
+            refuse("task", wanted.task.clone(), own.task.clone())
+        } else if wanted.options != own.options {
+            refuse("options", format!("{:?}", wanted.options.0), format!("{:?}", own.options.0))
+        } else if speed != self.info.speed {
+            refuse("live.speed", format!("{speed:?}"), format!("{:?}", self.info.speed))
+        } else {
+            Ok(())
+        }
+    }
+
+    /// Does something with the environment as it is.
+    pub(super) fn with_env<T>(&self, act: impl FnOnce(&Env) -> T) -> T {
+        act(self.lock().world.env())
+    }
+
+    /// Gives commands, all of them or none.
+    pub(super) fn command(
+        &self,
+        driver: Driver,
+        records: &[CommandRecord],
+    ) -> Result<(), Rejection> {
+        let mut commands =
+            ArrayVec::<(usize, Command), { trocar_proto::wire::MAX_COMMANDS }>::new();
+        for record in records {
+            commands.push((self.place(record.arm)?, record.command()?));
+        }
+        let mut state = self.lock();
+        if let Some(over) = &state.over {
+            return Err(over.clone());
+        }
+        for (place, _) in &commands {
+            if let Some(other) = state.drivers[*place].filter(|other| *other != driver) {
+                let allowed = format!(
+                    "process {} drives it, in session {}; it is free once that session ends",
+                    other.pid, other.session
+                );
+                let name = &self.info.arms[*place].name;
+                return Err(Rejection::new(Code::ArmIsDriven, "arm", name, allowed));
+            }
+        }
+        for (place, command) in commands {
+            state.drivers[place] = Some(driver);
+            if let Some(arm) = state.world.arms_mut().nth(place) {
+                arm.command(&command);
+            }
+        }
+        state.listen();
+        Ok(())
+    }
+
+    /// Lets up to so many ticks pass in lock-step.
+    pub(super) fn advance(&self, ticks: u32, until_event: bool) -> Result<Passed, Rejection> {
+        let mut state = self.lock();
+        if state.clock.is_some() {
+            let allowed = "0: its time passes at its own pace, which live.speed has set";
+            return Err(Rejection::new(Code::Unsupported, "ticks", ticks, allowed));
+        }
+        state.tick(ticks, until_event)
+    }
+
+    /// Lets some of the ticks pass that are due by now; whether more are.
+    pub(super) fn catch_up(&self, most: u32) -> bool {
+        let mut state = self.lock();
+        let ticks = state.ticks;
+        let Some(clock) = &mut state.clock else { return false };
+        let due = clock.due(ticks);
+        let now = due.min(u64::from(most)) as u32;
+        // What went wrong is told to the next request.
+        state.tick(now, false).is_ok() && due > u64::from(now)
+    }
+
+    /// Writes the present into a reply, and the events that come after the first `heard`.
+    pub(super) fn write(
+        &self,
+        layout: &LiveReplyLayout,
+        reply: &mut [u8],
+        passed: Passed,
+        heard: &mut u64,
+    ) -> Result<(), Rejection> {
+        let mut state = self.lock();
+        let state = &mut *state;
+        if let Some(over) = &state.over {
+            return Err(over.clone());
+        }
+        let oldest = state.told - state.events.len() as u64;
+        let lost = oldest.saturating_sub(*heard);
+        let first = (*heard).max(oldest);
+        let news = state.events.range((first - oldest) as usize..).take(MAX_EVENTS);
+        let records = layout.events.view_mut::<EventRecord>(reply, 1);
+        let mut events = 0;
+        for (room, event) in records.iter_mut().zip(news) {
+            *room = *event;
+            events += 1;
+        }
+        *heard = first + u64::from(events);
+        for ((room, arm), driver) in
+            layout.arms.view_mut(reply, 1).iter_mut().zip(state.world.arms()).zip(&state.drivers)
+        {
+            *room = arm.record();
+            room.driver = driver.map_or(0, |driver| driver.pid);
+        }
+        let rooms = layout.objects.view_mut::<f64>(reply, 1).chunks_exact_mut(7);
+        for (room, (_, pose)) in rooms.zip(state.world.objects()) {
+            room.copy_from_slice(&crate::dvrk::numbers_of(&pose));
+        }
+        let [observation, goals @ ..] =
+            [layout.observation, layout.achieved_goal, layout.desired_goal];
+        let mut seen = [observation, goals[0], goals[1]].map(|region| vec![0.0; region.width]);
+        let [observation, achieved, desired] = &mut seen;
+        let step = state.world.observe(observation, achieved, desired);
+        for (region, numbers) in [layout.observation, goals[0], goals[1]].iter().zip(&seen) {
+            region.view_mut(reply, 1).copy_from_slice(numbers);
+        }
+        layout.world.view_mut(reply, 1)[0] = WorldRecord {
+            ticks: state.ticks,
+            lost_events: lost,
+            passed: passed.ticks,
+            events,
+            has_more: u32::from(*heard < state.told),
+            steps: state.world.env().steps(),
+            reward: step.reward,
+            is_success: u32::from(step.is_success),
+            terminated: u32::from(step.terminated),
+            late: state.clock.as_ref().map_or(0, |clock| clock.late as u32),
+        };
+        Ok(())
+    }
+
+    /// Answers a question about an arm's kinematics.
+    pub(super) fn answer(&self, question: &QuestionRecord) -> Result<AnswerRecord, Rejection> {
+        let (place, which) = (self.place(question.arm)?, question.which()?);
+        let [first, second] = question.numbers.read("joints")?;
+        let state = self.lock();
+        let arm = state.world.arms().nth(place).expect("its place was checked");
+        let pose = |pose: Pose| crate::dvrk::numbers_of(&pose).to_vec();
+        let words = |why: crate::dvrk::NoSolution| why.to_string();
+        let rows = |jacobian: Option<nalgebra::Matrix6xX<f64>>| {
+            let jacobian = jacobian.ok_or("the arm has no tool")?;
+            Ok(jacobian.transpose().as_slice().to_vec())
+        };
+        let answer: Result<Vec<f64>, String> = match which {
+            Question::ForwardKinematics => arm.forward_kinematics(first).map(pose).map_err(words),
+            Question::LocalForwardKinematics => {
+                arm.local_forward_kinematics(first).map(pose).map_err(words)
+            }
+            Question::InverseKinematics => match *first {
+                [x, y, z, ref turn @ ..] if turn.len() == 4 => {
+                    let orientation = [turn[0], turn[1], turn[2], turn[3]];
+                    let (frame, position) = (String::new(), [x, y, z]);
+                    let goal = PoseMessage { frame, position, orientation };
+                    let joints = arm.inverse_kinematics(&goal, second);
+                    joints.map(|joints| joints.to_vec()).map_err(words)
+                }
+                _ => Err(format!("{} numbers, expected 7 of a pose", first.len())),
+            },
+            Question::ActuatorToJointPosition => {
+                let joints = arm.actuator_to_joint_position(first);
+                joints.map(|joints| joints.to_vec()).map_err(words)
+            }
+            Question::BodyJacobian => rows(arm.body_jacobian()),
+            Question::SpatialJacobian => rows(arm.spatial_jacobian()),
+        };
+        Ok(AnswerRecord::new(answer.as_deref().map_err(String::as_str)))
+    }
+
+    /// Frees the arms that a session drove, which then hold; with the session that made it, the world ends.
+    pub(super) fn leave(&self, session: u64, is_maker: bool) {
+        let mut state = self.lock();
+        let WorldState { world, drivers, .. } = &mut *state;
+        for (driver, arm) in drivers.iter_mut().zip(world.arms_mut()) {
+            if driver.is_some_and(|driver| driver.session == session) {
+                *driver = None;
+                let is = arm.operating_state();
+                if is.state == State::Enabled && is.is_homed {
+                    arm.command(&Command::Hold);
+                }
+            }
+        }
+        state.listen();
+        if is_maker {
+            let why = "the session that made it has ended; open another";
+            state.over = Some(Rejection::new(Code::UnknownSession, "world", session, why));
+        }
+    }
+
+    fn place(&self, arm: u32) -> Result<usize, Rejection> {
+        let place = arm as usize;
+        if place < self.info.arms.len() {
+            return Ok(place);
+        }
+        let allowed = format!("allowed are numbers below {}", self.info.arms.len());
+        Err(Rejection::new(Code::UnknownArm, "arm", arm, allowed))
+    }
+
+    fn lock(&self) -> MutexGuard<'_, WorldState> {
+        self.state.lock().unwrap_or_else(|poisoned| {
+            // A world that panicked in the middle of a tick is not to be trusted.
+            let mut state = PoisonError::into_inner(poisoned);
+            let why = "a fault of the server, which its log tells; open another world";
+            state
+                .over
+                .get_or_insert_with(|| Rejection::new(Code::Internal, "world", "failed", why));
+            state
+        })
+    }
+}
+
+impl WorldState {
+    fn tick(&mut self, most: u32, until_event: bool) -> Result<Passed, Rejection> {
+        let mut passed = Passed::default();
+        while passed.ticks < most && !(until_event && passed.has_told) {
+            if let Some(over) = &self.over {
+                return Err(over.clone());
+            }
+            if let Err(error) = self.world.tick() {
+                let (code, words) = match &error {
+                    StepError::InvalidAction(_) | StepError::ResetNeeded => (Code::ResetNeeded, ""),
+                    StepError::Simulation { .. } => (Code::Simulation, "; open another world"),
+                };
+                let allowed = format!("{error}{words}");
+                let over = Rejection::new(code, "world", format!("tick {}", self.ticks), allowed);
+                self.over = Some(over.clone());
+                return Err(over);
+            }
+            self.ticks += 1;
+            passed.ticks += 1;
+            passed.has_told |= self.listen();
+        }
+        Ok(passed)
+    }
+
+    /// Takes down what the arms have told; whether that is anything.
+    fn listen(&mut self) -> bool {
+        let before = self.told;
+        for (place, arm) in self.world.arms_mut().enumerate() {
+            for event in arm.take_events() {
+                if self.events.len() == MOST_EVENTS {
+                    self.events.pop_front();
+                }
+                let (stamp, report) = (event.stamp.nanoseconds(), event.what.report());
+                let event = Event { arm: place as u32, stamp, report };
+                self.events.push_back(EventRecord::new(&event));
+                self.told += 1;
+            }
+        }
+        self.told > before
+    }
+}
+
+impl Clock {
+    /// Ticks that are due by now in a world that has passed `ticks`.
+    fn due(&mut self, ticks: u64) -> u64 {
+        let elapsed = self.since.elapsed();
+        let due = (self.ticks + (elapsed.as_secs_f64() * self.ticks_per_second) as u64) - ticks;
+        let most = (LATEST.as_secs_f64() * self.ticks_per_second).ceil() as u64;
+        if due <= most {
+            return due;
+        }
+        self.late += due - most;
+        (self.since, self.ticks) = (Instant::now(), ticks + most);
+        most
+    }
+}
+
+fn arm_info(world: &LiveWorld, arm: &ArmController) -> ArmInfo {
+    let names = |names: &[&str]| names.iter().map(ToString::to_string).collect::<Vec<_>>();
+    let mechanism = arm.mechanism();
+    let base = world.world_from_base(arm.name()).expect("the arm is the world's");
+    ArmInfo {
+        name: arm.name().into(),
+        joints: names(&mechanism.names()[..mechanism.joints()]),
+        raw_joints: names(mechanism.raw_names()),
+        has_jaw: mechanism.axes() > mechanism.joints(),
+        world_from_base: crate::dvrk::numbers_of(base),
+    }
+}
