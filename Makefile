@@ -248,6 +248,11 @@ release: $(VENV)/ready
 	$(CARGO) build --release --locked -p trocar-server --example in_process
 	$(DEVELOP) --release
 
+.PHONY: bench-dvrk
+bench-dvrk: release ## * a dVRK script that servoes at 100 Hz in lock-step: how many times faster than life, on one core
+	taskset --cpu-list 0 $(CARGO) bench --locked -p trocar-tests --bench live
+	TROCAR_BINARY=$(TARGET)/release/trocar taskset --cpu-list 0 $(BIN)/python client-py/benches/servo.py
+
 .PHONY: bench-async
 bench-async: release ## * 64 environments: a session against Gymnasium's AsyncVectorEnv, in turns
 	TROCAR_BINARY=$(TARGET)/release/trocar $(BIN)/python client-py/benches/async_vector_env.py \

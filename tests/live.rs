@@ -121,7 +121,9 @@ fn refused<T: std::fmt::Debug>(result: Result<T, CallError>) -> Rejection {
 
 fn moved(from: &[f64], steps: &[(usize, f64)]) -> Vec<f64> {
     let mut joints = from[..6].to_vec();
-    steps.iter().for_each(|(joint, by)| joints[*joint] += by);
+    for (joint, by) in steps {
+        joints[*joint] += by;
+    }
     joints
 }
 
@@ -340,6 +342,16 @@ fn a_world_at_its_own_pace_goes_on_by_itself() {
     assert!(seconds >= 2.0 * (0.5 / (90.0 * DEGREE)).sqrt(), "{seconds}");
     let passed = script.world.advance(480).unwrap();
     assert!(passed >= 480, "{passed}");
+    // One whose pace is beyond what the server can do answers all the same.
+    let live = LiveRequest { speed: Some(1000.0), ..LiveRequest::default() };
+    let request = SessionRequest::new("BiPegTransfer-v0").live(live);
+    let mut hasty = server.connect().open_live(&request).unwrap();
+    let before = hasty.world().ticks;
+    for _ in 0..20 {
+        hasty.advance(24).unwrap();
+    }
+    assert!(hasty.world().ticks >= before + 480);
+    drop(hasty);
     for (speed, shown) in [(0.0, "0"), (f64::NAN, "NaN"), (1e9, "1000000000")] {
         let live = LiveRequest { speed: Some(speed), ..LiveRequest::default() };
         let request = SessionRequest::new("NeedleReach-v0").live(live);

@@ -6,6 +6,7 @@ use std::time::Instant;
 
 use rustix::process::Signal;
 use serde_json::{Value, json};
+use trocar_client::proto::dvrk::{Command, LiveRequest, StateCommand};
 use trocar_client::{Autoreset, Options, SessionRequest};
 use trocar_server::render::Jaws;
 use trocar_server::sim::frames::Pose;
@@ -233,6 +234,29 @@ fn a_server_without_a_viewer_starts_one_when_it_is_asked_for() {
     session.step(&[0.0; 3]).unwrap();
     let (frame, _) = page.frame();
     assert_eq!((frame.seed, frame.steps), (3, 1));
+}
+
+#[test]
+fn a_live_world_is_shown_while_its_arms_move() {
+    let theatre = Theatre::open();
+    let live = LiveRequest { speed: Some(10.0), ..LiveRequest::default() };
+    let request = SessionRequest::new("NeedleReach-v0").seed(4).live(live);
+    let mut world = theatre.logged.server.connect().open_live(&request).unwrap();
+    let mut page = theatre.page();
+    let number = page.session();
+    page.watch(number, 0, "live");
+    let (first, _) = page.frame();
+    assert_eq!(first.seed, 4);
+    for word in [StateCommand::Enable, StateCommand::Home] {
+        world.command("PSM1", &Command::State(word)).unwrap();
+    }
+    world.look().unwrap();
+    let start = Instant::now();
+    while page.frame().0.poses == first.poses {
+        assert!(start.elapsed() < PATIENCE, "the arm was never shown to move");
+    }
+    let refusal = theatre.logged.server.connect().record(number, 0, 1).unwrap_err();
+    assert!(refusal.to_string().contains("live world"), "{refusal}");
 }
 
 #[test]

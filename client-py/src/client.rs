@@ -6,9 +6,11 @@ use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use trocar_client::private::PrivateServer;
 use trocar_client::proto::control::ServerInfo;
+use trocar_client::proto::dvrk::{Homing, LiveRequest};
 use trocar_client::{Autoreset, CallError, Code, OptionValue, Options, Rejection, SessionRequest};
 
 use crate::array::described;
+use crate::live::LiveWorld;
 use crate::session::Session;
 use crate::spec::TaskSpec;
 use crate::{error, spec, wait};
@@ -115,6 +117,35 @@ impl Client {
         let request = SessionRequest { task, envs, seed, autoreset, options, view, live: None };
         let session = self.call(py, move |client| client.open(&request))?;
         Session::new(py, session)
+    }
+
+    /// Opens a session with a live world: in lock-step, or where there is a `speed`, so many times as fast as life.
+    #[pyo3(signature = (task, *, seed=0, options=None, homing="to_zero", speed=None, world=None))]
+    #[expect(clippy::too_many_arguments, reason = "they are keywords")]
+    fn open_live(
+        &self,
+        py: Python<'_>,
+        task: &str,
+        seed: u64,
+        options: Option<&Bound<'_, PyDict>>,
+        homing: &str,
+        speed: Option<f64>,
+        world: Option<u64>,
+    ) -> PyResult<LiveWorld> {
+        let homing = match homing {
+            "to_zero" => Homing::ToZero,
+            "in_place" => Homing::InPlace,
+            other => {
+                let allowed = "allowed are \"to_zero\", \"in_place\"";
+                let refusal = Rejection::new(Code::InvalidOption, "homing", other, allowed);
+                return Err(error::rejection(py, &refusal));
+            }
+        };
+        let options = self.options(py, task, options)?;
+        let live = LiveRequest { homing, speed, world };
+        let request = SessionRequest::new(task).seed(seed).options(options).live(live);
+        let world = self.call(py, move |client| client.open_live(&request))?;
+        LiveWorld::new(py, world)
     }
 
     /// The server's clients and sessions, and how fast it runs.

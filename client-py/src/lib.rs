@@ -7,6 +7,7 @@ mod array;
 mod client;
 mod columns;
 mod error;
+mod live;
 mod session;
 mod snapshot;
 mod spec;
@@ -30,6 +31,7 @@ fn _trocar(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<client::Client>()?;
     module.add_class::<session::Session>()?;
     module.add_class::<session::Reply>()?;
+    module.add_class::<live::LiveWorld>()?;
     module.add_class::<snapshot::Snapshot>()?;
     module.add_class::<spec::TaskSpec>()?;
     module.add_class::<spec::Element>()?;

@@ -67,7 +67,7 @@ fn slice<T: Send>(
 }
 
 /// Ends a session, waiting a moment for the server but never for one that does not answer.
-pub(crate) fn farewell(session: Session) {
+pub(crate) fn farewell<S: Send + 'static>(session: S) {
     let (sender, receiver) = channel();
     let closing = move || {
         drop(session);

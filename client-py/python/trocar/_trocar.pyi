@@ -20,6 +20,7 @@ __all__ = [
     "Client",
     "Element",
     "ImageSpec",
+    "LiveWorld",
     "OptionSpec",
     "Reply",
     "Session",
@@ -91,6 +92,20 @@ class Client:
         view: Mapping[str, Any] | None = None,
     ) -> Session:
         """Opens a session: one task, N environments, one seed, its options."""
+    def open_live(
+        self,
+        task: str,
+        *,
+        seed: int = 0,
+        options: Mapping[str, Any] | None = None,
+        homing: str = "to_zero",
+        speed: float | None = None,
+        world: int | None = None,
+    ) -> LiveWorld:
+        """Opens a session with a live world: in lock-step, or ``speed`` times as fast as life.
+
+        ``homing`` is ``to_zero`` or ``in_place``; ``world`` a session whose world is to be shared.
+        """
     def status(self) -> dict[str, Any]:
         """The server's clients and sessions, and how fast it runs."""
     def limits(self) -> dict[str, int | None]:
@@ -168,6 +183,88 @@ class Session:
         """Brings an exported snapshot into this session."""
     def abandon(self) -> None:
         """Gives up on the replies of all requests in flight."""
+    def close(self) -> None:
+        """Ends the session; once is enough, more does no harm."""
+
+@final
+class LiveWorld:
+    """A world in the server whose arms this process commands, until it is closed.
+
+    Stamps are seconds since the world began; a tick is 1/240 s. What is read is as of the latest
+    :meth:`advance`. Poses are x, y, z in m, then x, y, z, w of a unit quaternion.
+    """
+
+    @property
+    def id(self) -> int:
+        """The number of its session."""
+    @property
+    def spec(self) -> TaskSpec:
+        """The task under the session's options."""
+    @property
+    def arms(self) -> list[str]:
+        """Names of its arms."""
+    @property
+    def objects(self) -> list[str]:
+        """Names of its objects."""
+    @property
+    def speed(self) -> float | None:
+        """How many times as fast as life its time passes; ``None`` in lock-step."""
+    @property
+    def closed(self) -> bool:
+        """Whether it was closed."""
+    @property
+    def ticks(self) -> int:
+        """Ticks that have passed since the world began."""
+    @property
+    def world(self) -> dict[str, Any]:
+        """``ticks``, ``steps``, ``reward``, ``is_success``, ``terminated``, ``late``.
+
+        Also ``lost_events``: events that this client came too late for.
+        """
+    def describe(self, arm: str) -> tuple[list[str], bool, list[float]]:
+        """An arm's joints, whether it has a jaw, where its remote centre is in the world."""
+    def command(
+        self,
+        arm: str,
+        topic: str,
+        numbers: Sequence[float] | NDArray[Any] = ...,
+        more: Sequence[float] | NDArray[Any] = ...,
+        text: str = "",
+    ) -> None:
+        """Gives a command to an arm with the next :meth:`advance`."""
+    def advance(self, ticks: int, until_event: bool = False) -> int:
+        """Gives the commands, and lets so many ticks pass; how many did.
+
+        ``until_event`` stops after a tick in which an arm told something.
+        """
+    def events(self) -> list[tuple[str, float, str, Any]]:
+        """What arms have told since the last call: arm, stamp, topic, value."""
+    def operating_state(self, arm: str) -> tuple[str, bool, bool]:
+        """An arm's operating state, whether it is homed, whether it is busy."""
+    def joints(
+        self, arm: str, *, setpoint: bool = False, jaw: bool = False
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64], float]:
+        """Positions, velocities and stamp of the joints, or of the jaw."""
+    def pose(self, arm: str, topic: str) -> tuple[list[float], float]:
+        """A pose of an arm, and its stamp, which is 0 without a tool."""
+    def twist(self, arm: str) -> tuple[list[float], float]:
+        """The twist of an arm's end, and its stamp, which is 0 without a tool."""
+    def status(self, arm: str) -> tuple[float, int, str]:
+        """The ratio of moves, the process that drives the arm, its reference frame."""
+    def ask(
+        self,
+        arm: str,
+        question: str,
+        numbers: Sequence[float] | NDArray[Any] = ...,
+        more: Sequence[float] | NDArray[Any] = ...,
+    ) -> tuple[list[float], str]:
+        """Asks a service of an arm: numbers and an empty text, or none and why."""
+    def observation(
+        self,
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
+        """Observation, achieved and desired goal of the task."""
+    def object(self, name: str) -> list[float]:
+        """Where an object is in the world."""
     def close(self) -> None:
         """Ends the session; once is enough, more does no harm."""
 

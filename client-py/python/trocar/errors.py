@@ -57,6 +57,18 @@ class UnknownSnapshot(InvalidRequest):
     """The session has no such snapshot."""
 
 
+class UnknownArm(InvalidRequest):
+    """A live world has no such arm."""
+
+
+class InvalidCommand(InvalidRequest):
+    """A command to an arm of a live world is malformed."""
+
+
+class ArmIsDriven(InvalidRequest):
+    """Another client drives the arm."""
+
+
 class InvalidSnapshot(InvalidRequest):
     """The bytes are no snapshot, or none of this task and these options."""
 

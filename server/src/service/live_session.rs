@@ -24,6 +24,9 @@ use crate::env::Env;
 /// Ticks that are simulated between two looks at the quantum: a few hundred microseconds.
 const TICKS_AT_ONCE: u32 = 12;
 
+/// Most ticks that a paced world catches up with before it looks for a request: a few milliseconds.
+const MOST_TICKS_DUE: u64 = 240;
+
 /// Shortest pause of a paced world between two looks at what is due.
 const SHORTEST_PAUSE: Duration = Duration::from_millis(1);
 
@@ -38,6 +41,8 @@ pub(super) struct LiveSession {
     commands: Vec<CommandRecord>,
     /// Events that its client was told.
     heard: u64,
+    /// Steps of the task that were counted.
+    steps: u32,
     /// Expected CPU time of a few ticks.
     cost: Duration,
     _timer: Option<Timer>,
@@ -78,6 +83,7 @@ impl LiveSession {
             request_layout: LiveRequestLayout::new(),
             commands: Vec::with_capacity(MAX_COMMANDS),
             heard: 0,
+            steps: 0,
             cost: Duration::from_micros(200),
             world: Arc::clone(world),
             shared: Arc::clone(shared),
@@ -86,14 +92,15 @@ impl LiveSession {
         })
     }
 
-    /// Does what commands ask for, and lets time pass.
+    /// Does what commands ask for, and lets time pass. Returns how many steps of the task have passed since the
+    /// message before.
     fn live(
         &mut self,
         asked: &Header,
         payload: &[u8],
         reply: &mut [u8],
         quantum: &mut Quantum<'_>,
-    ) -> Result<(), Rejection> {
+    ) -> Result<u64, Rejection> {
         let rows = asked.rows as usize;
         let refuse = |field: &str, value: usize, most: usize| {
             let allowed = format!("allowed is 0 to {most}");
@@ -125,9 +132,18 @@ impl LiveSession {
             passed.has_told |= now.has_told;
         }
         if passed.ticks > 0 {
+            self.note_change();
+        }
+        self.world.write(&self.reply_layout, reply, passed, &mut self.heard)?;
+        let steps = self.world.with_env(Env::steps);
+        Ok(u64::from(steps - std::mem::replace(&mut self.steps, steps)))
+    }
+
+    /// Lets the pages that watch know that there is something new.
+    fn note_change(&self) {
+        if self.shared.subscriptions.is_watched() {
             self.shared.subscriptions.note_change();
         }
-        self.world.write(&self.reply_layout, reply, passed, &mut self.heard)
     }
 }
 
@@ -165,7 +181,7 @@ impl SessionKind for LiveSession {
             return Err(Rejection::new(Code::Malformed, "payload", payload.len(), allowed));
         }
         match asked.kind {
-            kind::LIVE => self.live(asked, payload, reply, quantum)?,
+            kind::LIVE => return self.live(asked, payload, reply, quantum),
             kind::ASK => {
                 let question: QuestionRecord = self.request_layout.question.view(payload, 1)[0];
                 self.reply_layout.answer.view_mut(reply, 1)[0] = self.world.answer(&question)?;
@@ -183,11 +199,13 @@ impl SessionKind for LiveSession {
         if self.world.info().speed.is_none() {
             return;
         }
-        let (world, mut is_due) = (&self.world, true);
-        while is_due && !self.shared.stop.load(Ordering::Acquire) {
-            quantum.run(Whole::new(|| is_due = world.catch_up(TICKS_AT_ONCE)), self.cost);
+        let mut left = self.world.due().min(MOST_TICKS_DUE) as u32;
+        while left > 0 && !self.shared.stop.load(Ordering::Acquire) {
+            let (world, now) = (&self.world, left.min(TICKS_AT_ONCE));
+            quantum.run(Whole::new(|| world.catch_up(now)), self.cost);
+            left -= now;
         }
-        self.shared.subscriptions.note_change();
+        self.note_change();
     }
 
     fn show(&mut self) {

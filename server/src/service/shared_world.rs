@@ -193,15 +193,16 @@ impl SharedWorld {
         state.tick(ticks, until_event)
     }
 
-    /// Lets some of the ticks pass that are due by now; whether more are.
-    pub(super) fn catch_up(&self, most: u32) -> bool {
+    /// Ticks that are due by now at the world's own pace.
+    pub(super) fn due(&self) -> u64 {
         let mut state = self.lock();
         let ticks = state.ticks;
-        let Some(clock) = &mut state.clock else { return false };
-        let due = clock.due(ticks);
-        let now = due.min(u64::from(most)) as u32;
-        // What went wrong is told to the next request.
-        state.tick(now, false).is_ok() && due > u64::from(now)
+        state.clock.as_mut().map_or(0, |clock| clock.due(ticks, Instant::now()))
+    }
+
+    /// Lets ticks pass that are due. What goes wrong is told to the next request.
+    pub(super) fn catch_up(&self, ticks: u32) {
+        self.lock().tick(ticks, false).ok();
     }
 
     /// Writes the present into a reply, and the events that come after the first `heard`.
@@ -383,16 +384,17 @@ impl WorldState {
 }
 
 impl Clock {
-    /// Ticks that are due by now in a world that has passed `ticks`.
-    fn due(&mut self, ticks: u64) -> u64 {
-        let elapsed = self.since.elapsed();
-        let due = (self.ticks + (elapsed.as_secs_f64() * self.ticks_per_second) as u64) - ticks;
+    /// Ticks that are due at `now` in a world that has passed `ticks`.
+    fn due(&mut self, ticks: u64, now: Instant) -> u64 {
+        let elapsed = now.saturating_duration_since(self.since);
+        let passed = self.ticks + (elapsed.as_secs_f64() * self.ticks_per_second) as u64;
+        let due = passed.saturating_sub(ticks);
         let most = (LATEST.as_secs_f64() * self.ticks_per_second).ceil() as u64;
         if due <= most {
             return due;
         }
         self.late += due - most;
-        (self.since, self.ticks) = (Instant::now(), ticks + most);
+        (self.since, self.ticks) = (now, ticks + most);
         most
     }
 }
@@ -407,5 +409,22 @@ fn arm_info(world: &LiveWorld, arm: &ArmController) -> ArmInfo {
         raw_joints: names(mechanism.raw_names()),
         has_jaw: mechanism.axes() > mechanism.joints(),
         world_from_base: crate::dvrk::numbers_of(base),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_world_that_is_late_leaves_time_out_and_never_hurries() {
+        let since = Instant::now();
+        let mut clock = Clock { ticks_per_second: 240.0, since, ticks: 5, late: 0 };
+        let after = |seconds| since + Duration::from_secs_f64(seconds);
+        assert_eq!(clock.due(5, after(0.05)), 12);
+        // Of 2400 ticks, a tenth of a second is due.
+        assert_eq!((clock.due(17, after(10.05)), clock.late), (24, 2376));
+        // Once these have passed, it goes on from there.
+        assert_eq!((clock.due(41, after(10.1)), clock.late), (12, 2376));
     }
 }

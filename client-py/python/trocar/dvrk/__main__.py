@@ -1,0 +1,109 @@
+"""``python -m trocar.dvrk script.py``: runs a script for a real da Vinci in a simulated world.
+
+The names ``crtk``, ``dvrk`` and, where there is none, ``PyKDL`` are put in place for this process
+only. So is the script's clock: ``time.sleep`` lets the world's time pass, ``time.time`` tells it.
+"""
+
+from __future__ import annotations
+
+import argparse
+import runpy
+import sys
+import time
+import types
+from typing import Any
+
+from trocar import dvrk
+from trocar.dvrk import arms, crtk, kdl
+from trocar.errors import TrocarError
+
+
+def put_in_place(world: dvrk.World) -> None:
+    """Lets scripts import what they import on a real robot, and sleep in the world's time."""
+    dvrk.use(world)
+    modules: dict[str, Any] = {"crtk": crtk, "dvrk": types.ModuleType("dvrk", arms.__doc__)}
+    for name in arms.__all__:
+        member = getattr(arms, name)
+        setattr(modules["dvrk"], name, member)
+        # `from dvrk.psm import psm` works as well, and leaves `dvrk.psm` the class.
+        below = types.ModuleType(f"dvrk.{name}")
+        setattr(below, name, member)
+        modules[f"dvrk.{name}"] = below
+    modules["dvrk"].__path__ = []
+    try:
+        import PyKDL  # noqa: F401
+    except ImportError:
+        modules["PyKDL"] = kdl
+    sys.modules.update(modules)
+    time.sleep = world.sleep  # type: ignore[assignment]
+    time.time = world.now
+
+
+def speed(text: str) -> float | None:
+    """A speed, or ``max`` for lock-step."""
+    return None if text == "max" else float(text)
+
+
+def arguments() -> argparse.Namespace:
+    """What the command line says."""
+    parser = argparse.ArgumentParser(prog="python -m trocar.dvrk", description=__doc__)
+    parser.add_argument("--server", help="name of a running server (default: a private one)")
+    parser.add_argument("--task", default="NeedlePick-v0", help="whose world it is (%(default)s)")
+    parser.add_argument("--seed", type=int, default=0, help="which episode it is (%(default)s)")
+    parser.add_argument(
+        "--speed",
+        type=speed,
+        default=None,
+        help="times real time, or max: as fast as it goes, in lock-step (max)",
+    )
+    parser.add_argument(
+        "--homing",
+        choices=["to_zero", "in_place"],
+        default="to_zero",
+        help="whether arms move when they are homed (%(default)s)",
+    )
+    parser.add_argument(
+        "--frames",
+        choices=["rcm", "world"],
+        default="rcm",
+        help="frame of the arms' poses: each remote centre's, or the world's (%(default)s)",
+    )
+    parser.add_argument("--quiet", action="store_true", help="do not print warnings of arms")
+    parser.add_argument("script", help="the script")
+    parser.add_argument("args", nargs=argparse.REMAINDER, help="its arguments")
+    return parser.parse_args()
+
+
+def main() -> None:
+    """Opens a world, and runs the script in it."""
+    given = arguments()
+
+    def complain(arm: str, words: str) -> None:
+        if not given.quiet:
+            print(f"{arm}: {words}", file=sys.stderr)
+
+    try:
+        world = dvrk.World(
+            given.task,
+            server=given.server,
+            seed=given.seed,
+            speed=given.speed,
+            homing=given.homing,
+            in_world=given.frames == "world",
+            complain=complain,
+        )
+    except TrocarError as error:
+        sys.exit(f"trocar.dvrk: {error}")
+    clock = (time.sleep, time.time)
+    put_in_place(world)
+    sys.argv = [given.script, *given.args]
+    try:
+        runpy.run_path(given.script, run_name="__main__")
+    finally:
+        time.sleep, time.time = clock
+        dvrk.use(None)
+        world.close()
+
+
+if __name__ == "__main__":
+    main()
