@@ -1,8 +1,6 @@
 //! Live worlds over shared memory: what dVRK's own test scripts do, with the times of the closed form; the bits of a
 //! world in-process; several clients of one world; bad input.
 
-use std::time::{Duration, Instant};
-
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use trocar_client::proto::dvrk::record::Question;
@@ -507,8 +505,6 @@ fn a_server_that_ends_in_the_middle_of_a_long_wait_says_so() {
     let live = LiveRequest { speed: Some(1.0), ..LiveRequest::default() };
     let mut script = Script::open(&server, &SessionRequest::new("NeedleReach-v0").live(live));
     server.connect().shut_down().unwrap();
-    let began = Instant::now();
     let error = script.world.advance(24_000_000).unwrap_err();
     assert!(matches!(error, CallError::ServerLost { .. }), "{error}");
-    assert!(began.elapsed() < Duration::from_mins(2));
 }

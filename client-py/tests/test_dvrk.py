@@ -20,6 +20,8 @@ from trocar.errors import ArmIsDriven, InvalidOption, UnknownArm
 
 SCRIPTS = Path(__file__).parent / "scripts"
 
+EXAMPLES = Path(__file__).parents[1] / "examples" / "dvrk"
+
 HOME = np.array([0.0, 0.0, 0.12, 0.0, 0.0, 0.0])
 
 TICK = 1 / 240
@@ -60,7 +62,7 @@ def took(world: dvrk.World, act: Any) -> float:
     return world.now() - start
 
 
-@pytest.mark.parametrize("speed", ["max", "40"])
+@pytest.mark.parametrize("speed", ["max", "20"])
 def test_a_script_like_the_arm_test_of_dvrk_runs_unchanged(server: str, speed: str) -> None:
     """Homing, ``servo_jp``, ``move_jp``, ``servo_cp``, ``move_cp`` and the jaw."""
     done = run(
@@ -90,6 +92,21 @@ def test_a_needle_is_picked_by_the_commands_of_a_robot_alone(server: str) -> Non
         assert done.returncode == 0, done.stderr
         assert done.stdout.splitlines()[-1] == "reward 0.0, success True"
         assert done.stderr == ""
+
+
+@pytest.mark.parametrize(
+    ("script", "arguments", "says"),
+    [
+        ("home_and_move", ["PSM1"], "PSM1 is at [0.0, 0.0, 0.12, 0.0, 0.0, 0.0]"),
+        ("servo_circle", ["PSM1"], "PSM1 was never more than 0.0 mm away from its circle"),
+        ("dip_and_lift", ["PSM1", "0.02"], "PSM1 is back within 0.0 mm, its jaw at"),
+    ],
+)
+def test_examples_run(server: str, script: str, arguments: list[str], says: str) -> None:
+    """The same files run on a robot."""
+    done = run(server, "--task", "NeedleReach-v0", f"{EXAMPLES}/{script}.py", *arguments)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert says in done.stdout
 
 
 def test_the_same_script_gives_the_same_numbers(server: str) -> None:

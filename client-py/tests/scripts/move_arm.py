@@ -51,7 +51,7 @@ class Test:
             now = self.ral.to_sec(self.ral.now())
             _, measured = self.arm.measured_jp()
             _, setpoint = self.arm.setpoint_jp()
-            if measured == 0 or abs(now - measured) > 1.0 or measured != setpoint:
+            if measured == 0 or abs(now - measured) > 10.0 or measured != setpoint:
                 print("! invalid data")
             rate.sleep()
 

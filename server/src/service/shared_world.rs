@@ -51,6 +51,8 @@ struct WorldState {
     told: u64,
     ticks: u64,
     clock: Option<Clock>,
+    /// Room for the observation and both goals.
+    seen: [Vec<f32>; 3],
     /// Why no time passes any more, if that is so.
     over: Option<Rejection>,
 }
@@ -106,6 +108,11 @@ impl SharedWorld {
             told: 0,
             ticks: 0,
             clock,
+            seen: {
+                let spec = world.env().spec();
+                let goal = vec![0.0; spec.goal_dim()];
+                [vec![0.0; spec.observation_dim()], goal.clone(), goal]
+            },
             over: None,
             world,
         };
@@ -239,12 +246,10 @@ impl SharedWorld {
         for (room, (_, pose)) in rooms.zip(state.world.objects()) {
             room.copy_from_slice(&crate::dvrk::numbers_of(&pose));
         }
-        let [observation, goals @ ..] =
-            [layout.observation, layout.achieved_goal, layout.desired_goal];
-        let mut seen = [observation, goals[0], goals[1]].map(|region| vec![0.0; region.width]);
-        let [observation, achieved, desired] = &mut seen;
+        let [observation, achieved, desired] = &mut state.seen;
         let step = state.world.observe(observation, achieved, desired);
-        for (region, numbers) in [layout.observation, goals[0], goals[1]].iter().zip(&seen) {
+        let regions = [layout.observation, layout.achieved_goal, layout.desired_goal];
+        for (region, numbers) in regions.iter().zip(&state.seen) {
             region.view_mut(reply, 1).copy_from_slice(numbers);
         }
         layout.world.view_mut(reply, 1)[0] = WorldRecord {

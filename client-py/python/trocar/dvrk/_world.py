@@ -97,9 +97,8 @@ class World:
         self._commanded = False
         self._reads = 0
         self._began = _time.time()
-        self._opened = _clock()
         self._passed = 0.0
-        self._looked = self._opened
+        self._looked = (_clock(), self.live.ticks)
         if in_world:
             for arm in self.live.arms:
                 *_, base = self.live.describe(arm)
@@ -114,7 +113,12 @@ class World:
 
     def elapsed(self) -> float:
         """The script's time since the world was opened, s: more exact than :meth:`now`."""
-        return self._passed if self._speed is None else (_clock() - self._opened) * self._speed
+        if self._speed is not None:
+            # Where the server had no time for the world, the script's time waits for it.
+            seen, ticks = self._looked
+            present = ticks / TICKS + (_clock() - seen) * self._speed
+            self._passed = max(self._passed, present)
+        return self._passed
 
     def stamped(self, stamp: float) -> float:
         """A stamp of the world in the script's time; 0, which says that there is nothing, stays."""
@@ -184,7 +188,7 @@ class World:
         """Sees to it that what is read next is as new as it can be."""
         with self._lock:
             if self._speed is not None:
-                if self._commanded or _clock() - self._looked > FRESH:
+                if self._commanded or _clock() - self._looked[0] > FRESH:
                     self.look()
                 return
             self._reads += 1
@@ -193,7 +197,7 @@ class World:
                 self._passed = max(self._passed, self.live.ticks / TICKS)
 
     def _listen(self) -> None:
-        self._looked = _clock()
+        self._looked = (_clock(), self.live.ticks)
         for arm, stamp, topic, value in self.live.events():
             if topic in ("warning", "error"):
                 if self._complain is not None:
