@@ -9,7 +9,7 @@ use trocar_client::proto::dvrk::{
     StateCommand, TICKS_PER_SECOND,
 };
 use trocar_client::proto::wire::{Header, kind};
-use trocar_client::{CallError, Code, LiveWorld, Options, Rejection, SessionRequest};
+use trocar_client::{CallError, Code, LiveWorld, OptionValue, Options, Rejection, SessionRequest};
 use trocar_server::Registry;
 use trocar_server::env;
 
@@ -497,6 +497,31 @@ fn messages_that_no_client_of_ours_sends_harm_nothing() {
     script.send("PSM1", &Command::State(StateCommand::Disable));
     script.advance(1);
     assert_eq!(script.state("PSM1").state, State::Disabled);
+}
+
+#[test]
+fn pictures_are_those_of_an_environment() {
+    let server = Server::start();
+    let size = OptionValue::Numbers(vec![24.0, 32.0]);
+    let request =
+        SessionRequest::new("NeedlePick-v0").seed(3).view(Options::new().with("image_size", size));
+    let mut session = server.connect().open(&request).unwrap();
+    session.reset().unwrap();
+    let mut world = server.connect().open_live(&request).unwrap();
+    assert_eq!(world.info().view, session.info().view);
+    let picture = session.render(0, false).unwrap().picture_rgb().to_vec();
+    assert_eq!(picture.len(), 24 * 32 * 3);
+    assert_eq!(world.render().unwrap(), picture);
+    let depth = session.render(0, true).unwrap().picture_depth().to_vec();
+    assert_eq!(world.render_depth().unwrap(), depth);
+    for word in [StateCommand::Enable, StateCommand::Home] {
+        world.command("PSM1", &Command::State(word)).unwrap();
+    }
+    world.advance(240).unwrap();
+    assert_ne!(world.render().unwrap(), picture);
+    let mut blind = server.connect().open_live(&SessionRequest::new("NeedlePick-v0")).unwrap();
+    assert_eq!(refused(blind.render()).code, Code::Unsupported);
+    blind.advance(1).unwrap();
 }
 
 #[test]

@@ -120,7 +120,9 @@ impl Client {
     }
 
     /// Opens a session with a live world: in lock-step, or where there is a `speed`, so many times as fast as life.
-    #[pyo3(signature = (task, *, seed=0, options=None, homing="to_zero", speed=None, world=None))]
+    #[pyo3(signature = (
+        task, *, seed=0, options=None, homing="to_zero", speed=None, world=None, view=None
+    ))]
     #[expect(clippy::too_many_arguments, reason = "they are keywords")]
     fn open_live(
         &self,
@@ -131,6 +133,7 @@ impl Client {
         homing: &str,
         speed: Option<f64>,
         world: Option<u64>,
+        view: Option<&Bound<'_, PyDict>>,
     ) -> PyResult<LiveWorld> {
         let homing = match homing {
             "to_zero" => Homing::ToZero,
@@ -144,6 +147,7 @@ impl Client {
         let options = self.options(py, task, options)?;
         let live = LiveRequest { homing, speed, world };
         let request = SessionRequest::new(task).seed(seed).options(options).live(live);
+        let request = SessionRequest { view: view.map(view_options).transpose()?, ..request };
         let world = self.call(py, move |client| client.open_live(&request))?;
         LiveWorld::new(py, world)
     }

@@ -2,7 +2,7 @@
 
 use std::sync::{Mutex, MutexGuard, TryLockError};
 
-use numpy::PyArray1;
+use numpy::{PyArray1, PyArrayMethods};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use trocar_client::proto::dvrk::record::Question;
@@ -269,6 +269,24 @@ impl LiveWorld {
     /// Where an object is in the world: x, y, z, then x, y, z, w of a quaternion.
     fn object(&self, py: Python<'_>, name: &str) -> PyResult<[f64; 7]> {
         self.with(py, |world| world.object(name).copied().map_err(|error| error::call(py, error)))
+    }
+
+    /// Draws the world: uint8 (H, W, 3), or with `depth` float32 (H, W) in m.
+    #[pyo3(signature = (depth=false))]
+    fn render<'py>(&self, py: Python<'py>, depth: bool) -> PyResult<Bound<'py, PyAny>> {
+        self.with(py, |world| {
+            let failed = |failure| error::call(py, failure);
+            let view = world.info().view.clone();
+            let [height, width] =
+                view.map_or([0; 2], |view| [view.views.len() * view.height, view.width]);
+            if depth {
+                let pixels = py.detach(|| world.render_depth()).map_err(failed)?;
+                let array = PyArray1::from_vec(py, pixels).reshape([height, width])?;
+                return Ok(array.into_any());
+            }
+            let pixels = py.detach(|| world.render()).map_err(failed)?;
+            Ok(PyArray1::from_vec(py, pixels).reshape([height, width, 3])?.into_any())
+        })
     }
 
     /// Ends the session; once is enough, more does no harm.

@@ -16,7 +16,7 @@ import pytest
 import trocar
 from trocar import dvrk
 from trocar.dvrk import crtk, kdl
-from trocar.errors import ArmIsDriven, InvalidOption, UnknownArm
+from trocar.errors import ArmIsDriven, InvalidOption, UnknownArm, Unsupported
 
 SCRIPTS = Path(__file__).parent / "scripts"
 
@@ -302,6 +302,26 @@ def test_objects_have_poses_below_their_names(server: str) -> None:
         *_, base = world.live.describe("PSM1")
         assert crtk.frame_of(base) * local == frame
         assert 0.5 < frame.p[2] < 1.0
+
+
+def test_pictures_show_the_world(server: str) -> None:
+    """Of the size and the camera that were asked for, and not without having asked."""
+    view = {"image_size": (48, 64)}
+    with dvrk.session("NeedlePick-v0", server=server, view=view) as world:
+        before = world.live.render()
+        assert before.shape == (48, 64, 3)
+        assert before.dtype == np.uint8
+        assert before.std() > 1
+        assert world.live.render(depth=True).shape == (48, 64)
+        arm: Any = dvrk.psm(crtk.ral("test"), "PSM1")
+        assert arm.enable(10)
+        assert arm.home(10)
+        assert (world.live.render() != before).any()
+    with (
+        dvrk.session("NeedlePick-v0", server=server) as world,
+        pytest.raises(Unsupported, match="open it with one"),
+    ):
+        world.live.render()
 
 
 def test_an_arm_has_one_driver(server: str, world: dvrk.World, psm: Any) -> None:

@@ -10,7 +10,7 @@ use trocar_proto::dvrk::record::{
 };
 use trocar_proto::dvrk::{ArmRecord, Command, Event, LiveInfo, TICKS_PER_SECOND, WorldRecord};
 use trocar_proto::wire::{
-    Header, LiveReplyLayout, LiveRequestLayout, MAX_COMMANDS, MAX_TICKS, flag, kind,
+    Header, LiveReplyLayout, LiveRequestLayout, MAX_COMMANDS, MAX_TICKS, PictureLayout, flag, kind,
 };
 use trocar_proto::{Code, Rejection, TaskSpec};
 
@@ -230,6 +230,38 @@ impl LiveWorld {
                 let answer = &self.reply_layout.answer.view::<AnswerRecord>(raw.payload(), 1)[0];
                 return Ok(answer.read().map(<[f64]>::to_vec));
             }
+        }
+    }
+
+    /// Draws the world as it is now, as the view shows it with which the session was opened
+    /// ([`SessionRequest::view`](crate::SessionRequest::view)): red, green, blue of every pixel, (views, height, width, 3).
+    pub fn render(&mut self) -> Result<Vec<u8>, CallError> {
+        self.picture(0, |layout, payload| layout.rgb.view::<u8>(payload, 1).to_vec())
+    }
+
+    /// As [`Self::render`], the depth of every pixel along the optical axis, m: (views, height, width).
+    pub fn render_depth(&mut self) -> Result<Vec<f32>, CallError> {
+        self.picture(flag::DEPTH, |layout, payload| layout.depth.view::<f32>(payload, 1).to_vec())
+    }
+
+    fn picture<T>(
+        &mut self,
+        flags: u32,
+        read: impl Fn(&PictureLayout, &[u8]) -> T,
+    ) -> Result<T, CallError> {
+        if !self.queued.is_empty() || self.pending.is_some() {
+            self.look()?;
+        }
+        self.send_as(kind::RENDER, flags, 0, |_| ())?;
+        loop {
+            let Some(raw) = self.receive(SLICE)? else { continue };
+            if raw.user_header().status != 0 {
+                return Err(refusal(&raw));
+            }
+            let layout = self.info.view.as_ref().map(|view| PictureLayout::new(view));
+            let layout = layout.filter(|layout| layout.bytes <= raw.payload().len());
+            let malformed = || CallError::Malformed("the payload is no picture".into());
+            return Ok(read(&layout.ok_or_else(malformed)?, raw.payload()));
         }
     }
 

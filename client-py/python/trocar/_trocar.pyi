@@ -101,10 +101,12 @@ class Client:
         homing: str = "to_zero",
         speed: float | None = None,
         world: int | None = None,
+        view: Mapping[str, Any] | None = None,
     ) -> LiveWorld:
         """Opens a session with a live world: in lock-step, or ``speed`` times as fast as life.
 
-        ``homing`` is ``to_zero`` or ``in_place``; ``world`` a session whose world is to be shared.
+        ``homing`` is ``to_zero`` or ``in_place``; ``world`` a session whose world is to be shared;
+        ``view`` says how :meth:`LiveWorld.render` draws.
         """
     def status(self) -> dict[str, Any]:
         """The server's clients and sessions, and how fast it runs."""
@@ -265,6 +267,8 @@ class LiveWorld:
         """Observation, achieved and desired goal of the task."""
     def object(self, name: str) -> list[float]:
         """Where an object is in the world."""
+    def render(self, depth: bool = False) -> NDArray[Any]:
+        """Draws the world: uint8 (H, W, 3), or with ``depth`` float32 (H, W) in m."""
     def close(self) -> None:
         """Ends the session; once is enough, more does no harm."""
 

@@ -238,7 +238,7 @@ impl Admission {
         let footprint = Footprint {
             shared: match request.live {
                 None => shared_bytes(request.envs as usize, &spec, view.as_ref()),
-                Some(_) => live_bytes(&spec),
+                Some(_) => live_bytes(&spec, view.as_ref()),
             },
             private: u64::from(request.envs) * each,
         };
@@ -338,7 +338,7 @@ pub(super) fn shared_bytes(envs: usize, spec: &TaskSpec, view: Option<&PictureLa
 }
 
 /// Shared memory that a session with a live world takes, bytes: an upper bound.
-fn live_bytes(spec: &TaskSpec) -> u64 {
+fn live_bytes(spec: &TaskSpec, view: Option<&PictureLayout>) -> u64 {
     let arm = ArmInfo {
         name: String::new(),
         joints: vec![],
@@ -350,6 +350,7 @@ fn live_bytes(spec: &TaskSpec) -> u64 {
     let info = LiveInfo { arms: vec![arm; MAX_INSTRUMENTS + 1], objects, speed: None };
     let requests = 2 * MAX_IN_FLIGHT + 2;
     let reply = LiveReplyLayout::new(&info, spec).bytes;
+    let reply = view.map_or(reply, |view| view.bytes.max(reply));
     let bytes = REPLIES * reply + requests * LiveRequestLayout::new().bytes;
     bytes as u64 + SERVICE_BYTES
 }

@@ -399,7 +399,7 @@ const ARRANGED: Duration = Duration::from_millis(2);
 const REBUILT: Duration = Duration::from_micros(300);
 
 /// About the time that a picture takes.
-const PICTURE: Duration = Duration::from_millis(50);
+pub(crate) const PICTURE: Duration = Duration::from_millis(50);
 
 /// Environments that are copied.
 struct Copying<'a> {

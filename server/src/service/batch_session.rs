@@ -54,12 +54,7 @@ impl BatchSession {
         let batch = Batch::new(&context.registry, wanted)?;
         let spec = batch.spec();
         let (envs, action_dim) = (wanted.envs as usize, spec.action_dim());
-        let view = wanted.view.as_ref();
-        let view = view.map(|view| context.registry.view(&wanted.task, &wanted.options, view));
-        let view = view.transpose()?.map(|imaging| {
-            let layout = PictureLayout::new(imaging.spec());
-            (imaging, layout)
-        });
+        let view = view_of(context, wanted)?;
         Ok(Self {
             meter: context.meter.task(&shared.task),
             next_step: wanted.autoreset == Autoreset::NextStep,
@@ -149,8 +144,7 @@ impl BatchSession {
         let env_ids = &env_ids[..rows];
         if asked.kind == kind::RENDER {
             let Some((imaging, layout)) = &self.view else {
-                let why = "the session was opened without a view; open it with one";
-                return Err(Rejection::new(Code::Unsupported, "render", "no view", why));
+                return Err(no_view());
             };
             return if asked.flags & flag::DEPTH == 0 {
                 let rgb = layout.rgb.view_mut(reply, 1);
@@ -255,6 +249,23 @@ impl SessionKind for BatchSession {
     fn learn(&mut self, time: Duration) {
         self.batch.learn(time);
     }
+}
+
+/// How a session's environments are drawn, where it asks for that.
+pub(super) fn view_of(
+    context: &ServerContext,
+    wanted: &SessionRequest,
+) -> Result<Option<(Imaging, PictureLayout)>, Rejection> {
+    let Some(view) = &wanted.view else { return Ok(None) };
+    let imaging = context.registry.view(&wanted.task, &wanted.options, view)?;
+    let layout = PictureLayout::new(imaging.spec());
+    Ok(Some((imaging, layout)))
+}
+
+/// The refusal of a picture.
+pub(super) fn no_view() -> Rejection {
+    let why = "the session was opened without a view; open it with one";
+    Rejection::new(Code::Unsupported, "render", "no view", why)
 }
 
 /// The states that a session keeps under these numbers; imported ones are rebuilt first.

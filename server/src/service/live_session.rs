@@ -10,16 +10,18 @@ use trocar_proto::control::SessionRequest;
 use trocar_proto::dvrk::LiveRequest;
 use trocar_proto::dvrk::record::{CommandRecord, QuestionRecord};
 use trocar_proto::wire::{
-    Header, LiveReplyLayout, LiveRequestLayout, MAX_COMMANDS, MAX_TICKS, flag, kind,
+    Header, LiveReplyLayout, LiveRequestLayout, MAX_COMMANDS, MAX_TICKS, PictureLayout, flag, kind,
 };
 use trocar_proto::{Code, Rejection};
 
+use super::batch::PICTURE;
+use super::batch_session;
 use super::handle::Shared;
 use super::internal;
 use super::scheduler::{Quantum, Scheduler, SlotId, Splittable};
 use super::session::{Description, ServerContext, SessionKind};
 use super::shared_world::{Driver, Passed, SharedWorld};
-use crate::env::Env;
+use crate::env::{Env, Imaging, Shot};
 
 /// Ticks that are simulated between two looks at the quantum: a few hundred microseconds.
 const TICKS_AT_ONCE: u32 = 12;
@@ -37,6 +39,8 @@ pub(super) struct LiveSession {
     is_maker: bool,
     request_layout: LiveRequestLayout,
     reply_layout: LiveReplyLayout,
+    /// How the world is drawn when that is asked for.
+    view: Option<(Imaging, PictureLayout)>,
     /// A request's commands, copied out of shared memory before anything looks at them.
     commands: Vec<CommandRecord>,
     /// Events that its client was told.
@@ -76,6 +80,7 @@ impl LiveSession {
             }
             _ => None,
         };
+        let view = batch_session::view_of(context, wanted)?;
         let world = shared.world.get_or_init(|| world);
         let spec = world.with_env(|env| env.spec().clone());
         Ok(Self {
@@ -87,6 +92,7 @@ impl LiveSession {
             cost: Duration::from_micros(200),
             world: Arc::clone(world),
             shared: Arc::clone(shared),
+            view,
             is_maker,
             _timer: timer,
         })
@@ -139,6 +145,26 @@ impl LiveSession {
         Ok(u64::from(steps - std::mem::replace(&mut self.steps, steps)))
     }
 
+    /// Draws the world as it is: colours, or depth.
+    fn draw(
+        &self,
+        depth: bool,
+        reply: &mut [u8],
+        quantum: &mut Quantum<'_>,
+    ) -> Result<(), Rejection> {
+        let Some((view, layout)) = &self.view else { return Err(batch_session::no_view()) };
+        // Its time goes on meanwhile.
+        let scene = self.world.with_env(Env::scene);
+        let shot = Shot { scene, rgb: &mut [], depth: &mut [], mask: &mut [], points: &mut [] };
+        let mut shot = if depth {
+            Shot { depth: layout.depth.view_mut(reply, 1), ..shot }
+        } else {
+            Shot { rgb: layout.rgb.view_mut(reply, 1), ..shot }
+        };
+        quantum.run(Whole::new(|| view.draw(std::slice::from_mut(&mut shot))), PICTURE);
+        Ok(())
+    }
+
     /// Lets the pages that watch know that there is something new.
     fn note_change(&self) {
         if self.shared.subscriptions.is_watched() {
@@ -151,7 +177,7 @@ impl SessionKind for LiveSession {
     fn describe(&self) -> Description {
         Description {
             spec: self.world.with_env(|env| env.spec().clone()),
-            view: None,
+            view: self.view.as_ref().map(|(imaging, _)| Box::new(imaging.spec().clone())),
             live: Some(Box::new(self.world.info().clone())),
         }
     }
@@ -160,12 +186,15 @@ impl SessionKind for LiveSession {
         Arc::new(self.world.with_env(Env::clone))
     }
 
-    fn reply_bytes(&self, _: u32) -> usize {
-        self.reply_layout.bytes
+    fn reply_bytes(&self, kind: u32) -> usize {
+        match &self.view {
+            Some((_, layout)) if kind == kind::RENDER => layout.bytes,
+            _ => self.reply_layout.bytes,
+        }
     }
 
     fn most_bytes(&self) -> usize {
-        self.reply_layout.bytes
+        self.reply_bytes(kind::RENDER).max(self.reply_layout.bytes)
     }
 
     fn carry_out(
@@ -186,9 +215,10 @@ impl SessionKind for LiveSession {
                 let question: QuestionRecord = self.request_layout.question.view(payload, 1)[0];
                 self.reply_layout.answer.view_mut(reply, 1)[0] = self.world.answer(&question)?;
             }
+            kind::RENDER => self.draw(asked.flags & flag::DEPTH != 0, reply, quantum)?,
             other => {
-                let (live, ask) = (kind::LIVE, kind::ASK);
-                let allowed = format!("a session with a live world takes {live} and {ask}");
+                let (live, ask, render) = (kind::LIVE, kind::ASK, kind::RENDER);
+                let allowed = format!("a live world takes {live}, {ask} and {render}");
                 return Err(Rejection::new(Code::Malformed, "header.kind", other, allowed));
             }
         }

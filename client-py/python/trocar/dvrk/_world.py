@@ -71,6 +71,7 @@ class World:
         in_world: Whether the arms' poses are in the frame of the world, and not of their remote
             centres.
         complain: What is told of warnings and errors of arms: the arm, and the words.
+        view: How ``world.live.render()`` draws the world, as ``render_options`` of environments.
     """
 
     def __init__(
@@ -84,9 +85,10 @@ class World:
         homing: str = "to_zero",
         in_world: bool = False,
         complain: Callable[[str, str], object] | None = None,
+        view: Mapping[str, Any] | None = None,
     ) -> None:
         self.live: _trocar.LiveWorld = connect(server).open_live(
-            task, seed=seed, options=options, homing=homing, speed=speed
+            task, seed=seed, options=options, homing=homing, speed=speed, view=view
         )
         self.feeds = {name: Feed() for name in self.live.arms}
         self.objects = {name.replace(" ", "_"): name for name in self.live.objects}
