@@ -231,6 +231,80 @@ fn servoed_set_points_are_followed() {
 }
 
 #[test]
+fn servo_and_moves_follow_each_other_without_a_jump() {
+    let server = Server::start();
+    let mut script = Script::new(&server, "NeedleReach-v0");
+    script.enable_and_home("PSM1");
+    script.heard.clear();
+    // A7: a diagonal of 40 mm.
+    let start = script.arm("PSM1").setpoint_cp;
+    for step in 0..500_u32 {
+        let angle = std::f64::consts::TAU * f64::from(step) / 500.0;
+        let mut goal = start;
+        goal[0] += 0.02 * (1.0 - angle.cos());
+        goal[1] += 0.02 * (1.0 - angle.cos());
+        script.send("PSM1", &Command::ServoCp(pose(&goal)));
+        script.advance(if step % 5 < 3 { 2 } else { 3 });
+        let is = script.arm("PSM1").setpoint_cp;
+        assert!((0..3).all(|axis| (is[axis] - goal[axis]).abs() < 1e-9), "{step}");
+    }
+    // A11: the jaw closes while the arm moves; both come to their ends.
+    let mut goal = start;
+    goal[0] -= 0.05;
+    script.send("PSM1", &Command::MoveCp(pose(&goal)));
+    script.advance(60);
+    script.carry_out("PSM1", &Command::jaw_close());
+    let arm = script.arm("PSM1");
+    assert!((0..3).all(|axis| (arm.setpoint_cp[axis] - goal[axis]).abs() < 1e-5));
+    assert_eq!(arm.setpoint_position[6], -20.0 * DEGREE);
+    // A12: a jaw that is servoed, and then moved.
+    script.carry_out("PSM1", &Command::jaw_open(50.0 * DEGREE));
+    for step in 0..500_u32 {
+        let angle = std::f64::consts::TAU * f64::from(step) / 500.0;
+        let opening = (50.0 + 29.0 * angle.sin()) * DEGREE;
+        script.send("PSM1", &Command::JawServoJp(vec![opening]));
+        script.advance(if step % 5 < 3 { 2 } else { 3 });
+        assert!((script.arm("PSM1").setpoint_position[6] - opening).abs() < 1e-12);
+    }
+    let before = script.arm("PSM1").setpoint_position[6];
+    script.send("PSM1", &Command::jaw_close());
+    script.advance(1);
+    let step = (script.arm("PSM1").setpoint_position[6] - before).abs();
+    assert!(step < 1080.0 * DEGREE / TICKS_PER_SECOND as f64, "{step}");
+    script.wait("PSM1");
+    // A13: another goal on the way: the velocity does not jump, and one move ends.
+    script.carry_out("PSM1", &Command::MoveJp(HOME.to_vec()));
+    script.heard.clear();
+    script.send("PSM1", &Command::MoveJp(moved(&HOME, &[(0, 0.4)])));
+    script.advance(48);
+    script.send("PSM1", &Command::MoveJp(moved(&HOME, &[(0, -0.1)])));
+    let mut velocity = script.arm("PSM1").setpoint_velocity[0];
+    loop {
+        script.advance(1);
+        let now = script.arm("PSM1").setpoint_velocity[0];
+        let most = 90.0 * DEGREE / TICKS_PER_SECOND as f64 + 1e-9;
+        assert!((now - velocity).abs() <= most, "{velocity} to {now}");
+        velocity = now;
+        if !script.state("PSM1").is_busy {
+            break;
+        }
+    }
+    assert_eq!(script.reached(), [true]);
+    // B3, B4, B5: what is out of reach is clipped, and counts as reached.
+    let far = moved(&HOME, &[(0, 120.0 * DEGREE)]);
+    script.carry_out("PSM1", &Command::MoveJp(far));
+    assert!((script.arm("PSM1").setpoint_position[0] - 91.0 * DEGREE).abs() < 1e-3);
+    script.carry_out("PSM1", &Command::MoveJp(HOME.to_vec()));
+    script.carry_out("PSM1", &Command::JawMoveJp(vec![-90.0 * DEGREE]));
+    assert!((script.arm("PSM1").setpoint_position[6] + 40.0 * DEGREE).abs() < 1e-3);
+    let mut goal = script.arm("PSM1").setpoint_cp;
+    goal[0] += 1.0;
+    script.carry_out("PSM1", &Command::MoveCp(pose(&goal)));
+    assert!(script.arm("PSM1").setpoint_cp[0] < goal[0] - 0.5);
+    assert!(script.reached().iter().all(|reached| *reached), "{:?}", script.reached());
+}
+
+#[test]
 fn kinematics_are_answered() {
     let server = Server::start();
     let mut script = Script::new(&server, "NeedleReach-v0");
