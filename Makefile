@@ -213,7 +213,7 @@ FUZZ_FLAGS := -Cpasses=sancov-module -Cllvm-args=-sanitizer-coverage-level=4 \
 	-Cllvm-args=-sanitizer-coverage-trace-compares --cfg fuzzing -Ccodegen-units=1
 # What computes a policy's matrices takes ten minutes to compile with both counters and optimisation.
 FUZZ_SLOW := --config 'profile.dev.package.rten-gemm.opt-level=1'
-FUZZ_TARGET ?= control data words snapshots recordings urdf policies options
+FUZZ_TARGET ?= control data live words snapshots recordings urdf policies options
 FUZZ_S ?= 600
 
 # FUZZ_S=3600 FUZZ_TARGET=urdf: for how long, and what. Inputs that are found stay in target/fuzz for the next time.

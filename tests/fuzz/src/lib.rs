@@ -5,6 +5,7 @@
 //! |---|---|
 //! | `control` | control messages of both directions, and what the server decides about requests |
 //! | `data` | headers and payloads of a session's messages, in a server of this process |
+//! | `live` | commands, ticks and questions to a live world |
 //! | `words` | doorbell, reply and size words, and what a server does whose words are rubbish |
 //! | `snapshots` | the state of an environment, and its restoring |
 //! | `recordings` | files of episodes, and their playing |
@@ -22,6 +23,7 @@ mod control;
 mod data;
 mod hosted;
 mod input;
+mod live;
 mod options;
 mod policies;
 mod recordings;
@@ -41,9 +43,10 @@ pub struct Target {
 }
 
 /// All of them.
-pub const TARGETS: [Target; 8] = [
+pub const TARGETS: [Target; 9] = [
     Target { name: "control", run: control::run, seeds: control::seeds },
     Target { name: "data", run: data::run, seeds: data::seeds },
+    Target { name: "live", run: live::run, seeds: live::seeds },
     Target { name: "words", run: words::run, seeds: words::seeds },
     Target { name: "snapshots", run: snapshots::run, seeds: snapshots::seeds },
     Target { name: "recordings", run: recordings::run, seeds: recordings::seeds },

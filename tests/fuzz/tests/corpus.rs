@@ -29,4 +29,4 @@ macro_rules! replayed {
     };
 }
 
-replayed! { control data words snapshots recordings urdf policies options }
+replayed! { control data live words snapshots recordings urdf policies options }
