@@ -19,9 +19,10 @@ macro_rules! files {
 }
 
 /// The best policy known of each task: the task's id, and the file.
-const FILES: [(&str, &[u8]); 10] = files! {
+const FILES: [(&str, &[u8]); 12] = files! {
     "NeedleReach-v0" "GauzeRetrieve-v0" "NeedlePick-v0" "PegTransfer-v0" "NeedleRegrasp-v0" "BiPegTransfer-v0"
     "EcmReach-v0" "MisOrient-v0" "StaticTrack-v0" "ActiveTrack-v0"
+    "CylinderReach-v0" "CylinderPick-v0"
 };
 
 /// The policy of that name: the id of its task, with or without version.
