@@ -5,6 +5,7 @@ use std::process::{Child, Command, Output, Stdio};
 use std::time::{Duration, Instant};
 
 use serde_json::Value;
+use trocar_proto::builtin;
 
 const TASK: &str = "NeedleReach-v0";
 
@@ -130,7 +131,7 @@ fn policies_that_come_with_trocar_have_names() {
     let output = trocar(&["policies", "--json"]).output().unwrap();
     let lines = String::from_utf8(output.stdout).unwrap();
     let cards: Vec<Value> = lines.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
-    assert_eq!(cards.len(), 10);
+    assert_eq!(cards.len(), builtin::ALL.len());
     for card in cards {
         assert!(
             card["command"].as_str().unwrap().contains(card["task"].as_str().unwrap()),
