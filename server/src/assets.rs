@@ -312,14 +312,16 @@ fn placed(robot: &Robot) -> Result<Vec<Placed>, ModelError> {
                 parent.scene_from_body * pose(&joint.origin)?
             }
         };
-        let inertia = inertia(&link.inertial)?;
+        let shapes = link.collision.iter();
+        let parts = shapes.map(|shape| part(&shape.geometry, &shape.origin));
+        let parts = parts.collect::<Result<Vec<_>, _>>()?;
+        let outline = parts.iter().map(|part| part.aabb(&Pose::identity()));
+        let outline = outline.reduce(|all, part| all.merged(&part)).expect("it has a shape");
+        let inertia = inertia(&link.inertial, outline.extents().max())?;
         let mass = inertia.mass;
         if is_free && mass <= 0.0 {
             return wrong(&link.name, "is free and needs a mass");
         }
-        let shapes = link.collision.iter();
-        let parts = shapes.map(|shape| part(&shape.geometry, &shape.origin));
-        let parts = parts.collect::<Result<_, _>>()?;
         let material = link.visual.first().and_then(|visual| visual.material.as_ref());
         let friction = material.and_then(|material| friction_of(&material.name));
         let friction = friction.unwrap_or(UNKNOWN_FRICTION);
@@ -410,6 +412,11 @@ const MASSES: RangeInclusive<f64> = 1e-7..=1e4;
 /// Moments of inertia, kg·m².
 const MOMENTS: RangeInclusive<f64> = 0.0..=1e6;
 
+/// The least principal moment of inertia, as a part of the greatest; and the least radius of gyration, as a part of the
+/// length of the body's shapes: the first is that of a rod that is 120 times as long as thick.
+const THINNEST: f64 = 1e-4;
+const SHORTEST: f64 = 1e-3;
+
 /// An error unless the engine can compute with these numbers.
 fn check(what: &str, numbers: &[f64], allowed: &RangeInclusive<f64>) -> Result<(), ModelError> {
     match numbers.iter().find(|number| !allowed.contains(number)) {
@@ -422,7 +429,8 @@ fn check(what: &str, numbers: &[f64], allowed: &RangeInclusive<f64>) -> Result<(
     }
 }
 
-fn inertia(inertial: &urdf_rs::Inertial) -> Result<Inertia, ModelError> {
+/// The inertia of a body whose shapes are together so long, m.
+fn inertia(inertial: &urdf_rs::Inertial, length: f64) -> Result<Inertia, ModelError> {
     let origin = pose(&inertial.origin)?;
     let urdf_rs::Inertia { ixx, ixy, ixz, iyy, iyz, izz } = inertial.inertia;
     let mass = inertial.mass.value;
@@ -433,13 +441,19 @@ fn inertia(inertial: &urdf_rs::Inertial) -> Result<Inertia, ModelError> {
     check("moment of inertia", &[ixx, iyy, izz], &MOMENTS)?;
     check("product of inertia", &[ixy, ixz, iyz], &(-most..=most))?;
     let moments = Matrix3::new(ixx, ixy, ixz, ixy, iyy, iyz, ixz, iyz, izz);
+    let eigen = moments.symmetric_eigen();
+    let (least, greatest) = (eigen.eigenvalues.min(), eigen.eigenvalues.max());
     // Written with six digits, moments of thin things may come out a little below 0.
-    let slack = 1e-4 * moments.norm();
-    check(
-        "principal moment of inertia",
-        moments.symmetric_eigenvalues().as_slice(),
-        &(-slack..=3.0 * most),
-    )?;
+    let slack = THINNEST * greatest;
+    check("principal moment of inertia", &[least, greatest], &(-slack..=3.0 * most))?;
+    // Without any moment a body does not turn; with one that is next to nothing, its inverse is next to infinite.
+    let least_of_all = slack.max(mass * (SHORTEST * length).powi(2));
+    let moments = if greatest > 0.0 && least < least_of_all {
+        let thickened = eigen.eigenvalues.map(|moment| moment.max(least_of_all));
+        eigen.eigenvectors * Matrix3::from_diagonal(&thickened) * eigen.eigenvectors.transpose()
+    } else {
+        moments
+    };
     let turn = origin.rotation.to_rotation_matrix();
     Ok(Inertia {
         mass,
@@ -551,6 +565,26 @@ mod tests {
                 .contains("boxes, capsules and")
         );
         assert!(changed("<parent link=\"ball\"/>", "<parent link=\"top\"/>").contains("no body"));
+    }
+
+    #[test]
+    fn moments_of_inertia_that_are_next_to_nothing_are_those_of_something_thin() {
+        let ball = |inertia: &str| {
+            let urdf = format!(
+                r#"<robot name="ball"><link name="ball"><inertial><mass value="0.001"/>
+                <inertia {inertia} ixy="0" ixz="0" iyz="0"/></inertial>
+                <collision><geometry><box size="0.1 0.1 0.1"/></geometry></collision></link></robot>"#
+            );
+            Model::from_urdf(&urdf).unwrap().inertia.moments.diagonal()
+        };
+        assert_eq!(ball(r#"ixx="1e-6" iyy="2e-6" izz="2e-6""#).x, 1e-6);
+        assert!((ball(r#"ixx="5e-32" iyy="2e-6" izz="2e-6""#).x - 2e-10).abs() < 1e-20);
+        assert!(
+            (ball(r#"ixx="5e-32" iyy="5e-32" izz="5e-32""#) / 1e-11)
+                .iter()
+                .all(|m| (m - 1.0).abs() < 1e-9)
+        );
+        assert_eq!(ball(r#"ixx="0" iyy="0" izz="0""#).norm(), 0.0);
     }
 
     #[test]
