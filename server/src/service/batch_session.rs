@@ -222,10 +222,6 @@ impl SessionKind for BatchSession {
         }
     }
 
-    fn most_bytes(&self) -> usize {
-        self.reply_bytes(kind::RENDER).max(self.reply_layout.bytes)
-    }
-
     fn carry_out(
         &mut self,
         asked: &Header,

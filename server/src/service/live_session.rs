@@ -193,10 +193,6 @@ impl SessionKind for LiveSession {
         }
     }
 
-    fn most_bytes(&self) -> usize {
-        self.reply_bytes(kind::RENDER).max(self.reply_layout.bytes)
-    }
-
     fn carry_out(
         &mut self,
         asked: &Header,

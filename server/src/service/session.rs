@@ -12,7 +12,7 @@ use trocar_proto::endpoint::{Endpoint, Node};
 use trocar_proto::missing_page::guarded;
 use trocar_proto::open_files::SESSION_FILES;
 use trocar_proto::spec::ImageSpec;
-use trocar_proto::wire::{Header, MAX_IN_FLIGHT};
+use trocar_proto::wire::{Header, MAX_IN_FLIGHT, kind};
 use trocar_proto::{Code, Rejection, TaskSpec};
 
 use super::admission::{self, Footprint};
@@ -143,8 +143,10 @@ pub(super) trait SessionKind: Send + 'static {
     /// Size of a reply to a request of this kind, bytes.
     fn reply_bytes(&self, kind: u32) -> usize;
 
-    /// Size of its largest reply, bytes.
-    fn most_bytes(&self) -> usize;
+    /// Size of its largest reply, bytes: a picture, or what every other request is answered with.
+    fn most_bytes(&self) -> usize {
+        self.reply_bytes(kind::RENDER).max(self.reply_bytes(kind::STEP))
+    }
 
     /// Carries out a request, which was found at `start`, and writes its reply. Returns how many steps environments
     /// took.
