@@ -109,6 +109,22 @@ def test_examples_run(server: str, script: str, arguments: list[str], says: str)
     assert says in done.stdout
 
 
+@pytest.mark.parametrize(("speed", "seed"), [("max", 0), ("max", 6), ("10", 0)])
+def test_a_needle_is_laid_down_picked_handed_over_and_laid_down(
+    server: str, speed: str, seed: int
+) -> None:
+    """By an example: the commands of a robot alone, in lock-step and at a pace."""
+    world = ["--task", "NeedleRegrasp-v0", "--homing", "in_place", "--frames", "world"]
+    options = [*world, "--speed", speed, "--seed", str(seed)]
+    done = run(server, *options, f"{EXAMPLES}/hand_over.py")
+    assert (done.returncode, done.stderr) == (0, "")
+    assert [line.split(" at ")[0] for line in done.stdout.splitlines()] == [
+        "PSM1 has laid the needle down",
+        "PSM2 has the needle",
+        "PSM2 has laid the needle down",
+    ]
+
+
 def test_the_same_script_gives_the_same_numbers(server: str) -> None:
     """In lock-step, to the last bit."""
     runs = [run(server, f"{SCRIPTS}/random_moves.py") for _ in range(2)]

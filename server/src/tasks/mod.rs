@@ -139,7 +139,7 @@ pub trait Task: CloneTask + Send + Sync + 'static {
     /// Begins an episode in a copy of the world, or in one of the prepared states.
     fn reset(&mut self, world: &mut World, rng: &mut Rng);
 
-    /// The objects that a reset may place, by name.
+    /// The free objects, by name. A reset may place them, unless episodes begin prepared.
     fn objects(&self) -> Vec<(&'static str, BodyId)> {
         vec![]
     }

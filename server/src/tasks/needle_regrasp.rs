@@ -133,7 +133,7 @@ use crate::sim::frames::{self, Aabb, Pose};
 use crate::sim::grasp::{Grasp, GraspMode};
 use crate::sim::instrument::{JAW_OPEN, TIP_OFFSET};
 use crate::sim::random::Rng;
-use crate::sim::world::World;
+use crate::sim::world::{BodyId, World};
 
 /// Where the tips of PSM1 and PSM2 would work if their jaws pointed down, m. Source: the original.
 const WORKSPACES: [Aabb; 2] = [
@@ -276,6 +276,10 @@ impl Task for NeedleRegrasp {
             task = Self::INFO.id,
             "the needle does not stay in PSM1's hand at the start"
         );
+    }
+
+    fn objects(&self) -> Vec<(&'static str, BodyId)> {
+        vec![("needle", self.needle.body())]
     }
 
     fn reset(&mut self, _: &mut World, rng: &mut Rng) {
