@@ -23,43 +23,43 @@ const LONGEST: u32 = 30 * TICKS_PER_SECOND as u32;
 const HOME: [f64; 6] = [0.0, 0.0, 0.12, 0.0, 0.0, 0.0];
 
 /// A script in a world in lock-step.
-struct Script {
-    world: LiveWorld,
-    heard: Vec<Event>,
+pub(crate) struct Script {
+    pub(crate) world: LiveWorld,
+    pub(crate) heard: Vec<Event>,
 }
 
 impl Script {
-    fn open(server: &Server, request: &SessionRequest) -> Self {
+    pub(crate) fn open(server: &Server, request: &SessionRequest) -> Self {
         Self { world: server.connect().open_live(request).unwrap(), heard: vec![] }
     }
 
-    fn new(server: &Server, task: &str) -> Self {
+    pub(crate) fn new(server: &Server, task: &str) -> Self {
         Self::open(server, &SessionRequest::new(task))
     }
 
-    fn send(&mut self, arm: &str, command: &Command) {
+    pub(crate) fn send(&mut self, arm: &str, command: &Command) {
         self.world.command(arm, command).unwrap();
     }
 
-    fn listen(&mut self) {
+    pub(crate) fn listen(&mut self) {
         self.heard.extend(std::iter::from_fn(|| self.world.next_event()));
     }
 
-    fn advance(&mut self, ticks: u32) {
+    pub(crate) fn advance(&mut self, ticks: u32) {
         assert_eq!(self.world.advance(ticks).unwrap(), ticks);
         self.listen();
     }
 
-    fn arm(&self, arm: &str) -> &ArmRecord {
+    pub(crate) fn arm(&self, arm: &str) -> &ArmRecord {
         self.world.arm(arm).unwrap()
     }
 
-    fn state(&self, arm: &str) -> OperatingState {
+    pub(crate) fn state(&self, arm: &str) -> OperatingState {
         self.arm(arm).operating_state()
     }
 
     /// Waits until an arm is not busy; how many ticks that took.
-    fn wait(&mut self, arm: &str) -> u32 {
+    pub(crate) fn wait(&mut self, arm: &str) -> u32 {
         self.world.look().unwrap();
         let mut ticks = 0;
         while self.state(arm).is_busy && ticks < LONGEST {
@@ -70,19 +70,19 @@ impl Script {
     }
 
     /// Gives a command and waits for its end; how long that took, s.
-    fn carry_out(&mut self, arm: &str, command: &Command) -> f64 {
+    pub(crate) fn carry_out(&mut self, arm: &str, command: &Command) -> f64 {
         self.send(arm, command);
         f64::from(self.wait(arm)) / TICKS_PER_SECOND as f64
     }
 
-    fn enable_and_home(&mut self, arm: &str) {
+    pub(crate) fn enable_and_home(&mut self, arm: &str) {
         self.carry_out(arm, &Command::State(StateCommand::Enable));
         self.carry_out(arm, &Command::State(StateCommand::Home));
         assert!(self.state(arm).is_homed);
     }
 
     /// What arms complained of, and whether moves reached their goals.
-    fn complaints(&mut self) -> Vec<String> {
+    pub(crate) fn complaints(&mut self) -> Vec<String> {
         let mut complaints = vec![];
         for event in self.heard.drain(..) {
             match event.report {
@@ -93,7 +93,7 @@ impl Script {
         complaints
     }
 
-    fn reached(&self) -> Vec<bool> {
+    pub(crate) fn reached(&self) -> Vec<bool> {
         let reached = |event: &Event| match event.report {
             Report::GoalReached(is_reached) => Some(is_reached),
             _ => None,
@@ -110,7 +110,7 @@ fn assert_took(took: f64, expected: f64, moves: f64) {
     assert!(allowed.contains(&took), "it took {took} s, not {expected} s");
 }
 
-fn refused<T: std::fmt::Debug>(result: Result<T, CallError>) -> Rejection {
+pub(crate) fn refused<T: std::fmt::Debug>(result: Result<T, CallError>) -> Rejection {
     match result {
         Err(CallError::Refused(refusal)) => refusal,
         other => panic!("not refused: {other:?}"),
@@ -322,7 +322,7 @@ fn kinematics_are_answered() {
 }
 
 /// What a random script commands.
-fn random(rng: &mut ChaCha8Rng) -> Command {
+pub(crate) fn random(rng: &mut ChaCha8Rng) -> Command {
     let joints: Vec<f64> = HOME.iter().map(|q| q + rng.random_range(-0.1..0.1)).collect();
     match rng.random_range(0..6) {
         0 => Command::MoveJp(joints),

@@ -4,11 +4,12 @@ use std::sync::{Mutex, MutexGuard, TryLockError};
 
 use numpy::{PyArray1, PyArrayMethods};
 use pyo3::prelude::*;
-use pyo3::types::PyDict;
+use pyo3::types::{PyBytes, PyDict};
 use trocar_client::proto::dvrk::record::Question;
 use trocar_client::proto::dvrk::{ArmRecord, Command, Report};
 use trocar_client::{Code, Rejection};
 
+use crate::snapshot::Snapshot;
 use crate::spec::TaskSpec;
 use crate::{error, wait};
 
@@ -269,6 +270,30 @@ impl LiveWorld {
     /// Where an object is in the world: x, y, z, then x, y, z, w of a quaternion.
     fn object(&self, py: Python<'_>, name: &str) -> PyResult<[f64; 7]> {
         self.with(py, |world| world.object(name).copied().map_err(|error| error::call(py, error)))
+    }
+
+    /// Keeps the state of the world in the server.
+    fn snapshot(&self, py: Python<'_>) -> PyResult<Snapshot> {
+        self.with(py, |world| {
+            let kept = py.detach(|| world.snapshot());
+            Ok(Snapshot::new(kept.map_err(|error| error::call(py, error))?))
+        })
+    }
+
+    /// Brings the world back to a state that was kept.
+    fn restore(&self, py: Python<'_>, snapshot: &Snapshot) -> PyResult<()> {
+        self.with(py, |world| {
+            let restored = py.detach(|| world.restore(snapshot.inner()));
+            restored.map_err(|error| error::call(py, error))
+        })
+    }
+
+    /// What led to the present state, as bytes of a recording.
+    fn recording<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyBytes>> {
+        self.with(py, |world| {
+            let recording = py.detach(|| world.recording());
+            Ok(PyBytes::new(py, &recording.map_err(|error| error::call(py, error))?))
+        })
     }
 
     /// Draws the world: uint8 (H, W, 3), or with `depth` float32 (H, W) in m.

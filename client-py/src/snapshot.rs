@@ -3,7 +3,7 @@
 use pyo3::exceptions::PyIndexError;
 use pyo3::prelude::*;
 use pyo3::types::PyBytes;
-use trocar_client::proto::snapshot;
+use trocar_client::proto::part;
 
 use crate::error;
 
@@ -45,6 +45,6 @@ pub(crate) fn split_snapshot<'py>(
     py: Python<'py>,
     data: &[u8],
 ) -> PyResult<Vec<Bound<'py, PyBytes>>> {
-    let parts = snapshot::split(data).map_err(|refusal| error::rejection(py, &refusal))?;
+    let parts = part::split(data).map_err(|refusal| error::rejection(py, &refusal))?;
     Ok(parts.into_iter().map(|part| PyBytes::new(py, part)).collect())
 }

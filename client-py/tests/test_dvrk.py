@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 import subprocess
 import sys
@@ -123,6 +124,37 @@ def test_a_needle_is_laid_down_picked_handed_over_and_laid_down(
         "PSM2 has the needle",
         "PSM2 has laid the needle down",
     ]
+
+
+def test_what_a_script_did_is_recorded_and_plays_again(server: str, tmp_path: Path) -> None:
+    """Bit by bit, as a film if that is wanted."""
+    recording, film = tmp_path / "pick.trocar", tmp_path / "pick.gif"
+    world = ["--task", "NeedlePick-v0", "--frames", "world", "--record", str(recording)]
+    assert run(server, *world, f"{SCRIPTS}/pick_needle.py").returncode == 0
+    command = [trocar.binary(), "replay", str(recording), "--json", "--out", str(film)]
+    replayed = subprocess.run(command, capture_output=True, text=True, check=True)
+    (row,) = [json.loads(line) for line in replayed.stdout.splitlines()]
+    assert (row["task"], row["success"], row["failed"]) == ("NeedlePick-v0", True, False)
+    assert row["snapshots"] >= 5
+    assert film.stat().st_size > 10_000
+
+
+def test_a_world_comes_back_to_what_was_kept(psm: Any, world: dvrk.World) -> None:
+    """In the middle of a move, which goes on; time goes on as well."""
+    handle = psm.move_jp(away(0.5))
+    world.sleep(0.2)
+    kept, begun = world.live.snapshot(), psm.measured_jp()[0]
+    assert handle.wait()
+    ended = psm.measured_jp()
+    np.testing.assert_array_equal(ended[0], away(0.5))
+    world.live.restore(kept)
+    back = psm.measured_jp()
+    np.testing.assert_array_equal(back[0], begun)
+    assert back[1] >= ended[1]
+    world.look()
+    assert psm.is_busy()
+    assert world.wait(lambda: not psm.is_busy(), 5.0)
+    np.testing.assert_array_equal(psm.measured_jp()[0], ended[0])
 
 
 def test_the_same_script_gives_the_same_numbers(server: str) -> None:

@@ -16,6 +16,7 @@ use trocar_proto::{Code, Rejection, TaskSpec};
 
 use crate::client::Client;
 use crate::error::CallError;
+use crate::snapshot::{Dropped, Snapshot};
 use crate::transport::{DataPort, Owned, Pending, RawReply, SLICE, refusal};
 
 /// Shortest and longest pause between two looks at a world that has a pace of its own.
@@ -57,6 +58,8 @@ pub struct LiveWorld {
     wait: Wait,
     seen: Seen,
     events: VecDeque<Event>,
+    /// Numbers of snapshots that were dropped and that the server still keeps.
+    dropped: Dropped,
     requests: u64,
     /// A request was not answered, and none will be.
     ended: bool,
@@ -110,6 +113,7 @@ impl LiveWorld {
             wait: Wait::default(),
             seen: Seen::default(),
             events: VecDeque::new(),
+            dropped: Dropped::default(),
             requests: 0,
             ended: false,
         };
@@ -219,16 +223,64 @@ impl LiveWorld {
         groups: [&[f64]; 2],
     ) -> Result<Result<Vec<f64>, String>, CallError> {
         let question = QuestionRecord::new(self.live.arm(arm)?, question, groups)?;
-        if !self.queued.is_empty() || self.pending.is_some() {
-            self.look()?;
-        }
+        self.settle()?;
         let region = self.request_layout.question;
-        self.send_as(kind::ASK, 0, 0, |payload| region.view_mut(payload, 1)[0] = question)?;
+        let raw = self.call(kind::ASK, |payload| region.view_mut(payload, 1)[0] = question)?;
+        let answer = &self.reply_layout.answer.view::<AnswerRecord>(raw.payload(), 1)[0];
+        Ok(answer.read().map(<[f64]>::to_vec))
+    }
+
+    /// Keeps the state of the world in the server, with what its arms are about, until the snapshot is dropped or the
+    /// session ends.
+    pub fn snapshot(&mut self) -> Result<Snapshot, CallError> {
+        self.settle()?;
+        let numbers = self.dropped.take();
+        if !numbers.is_empty() {
+            let node = self.client.link().node_id();
+            self.client.link().drop_snapshots(self.info.session, node, numbers)?;
+        }
+        let raw = self.call(kind::SNAPSHOT, |_| ())?;
+        let number = self.reply_layout.snapshot.view::<u64>(raw.payload(), 1)[0];
+        Ok(Snapshot::new(&self.info, &[number], &self.dropped))
+    }
+
+    /// Brings the world back to a state that was kept. Ticks and stamps go on from where they are, and every arm tells
+    /// its operating state. Refused while another client drives an arm.
+    pub fn restore(&mut self, snapshot: &Snapshot) -> Result<(), CallError> {
+        let number = snapshot.numbers_for(&self.info, 1)?[0];
+        self.settle()?;
+        let region = self.request_layout.snapshot;
+        let raw = self.call(kind::RESTORE, |payload| region.view_mut(payload, 1)[0] = number)?;
+        self.read(&raw)?;
+        Ok(())
+    }
+
+    /// What led to the present state of the world, from its beginning on: a file for `trocar replay`.
+    pub fn recording(&mut self) -> Result<Vec<u8>, CallError> {
+        self.settle()?;
+        self.client.record(self.info.session, 0, 1)?;
+        let mut recording = vec![];
+        loop {
+            let (parts, _) = self.client.recorded(self.info.session)?;
+            if parts.is_empty() {
+                return Ok(recording);
+            }
+            recording.extend(parts);
+        }
+    }
+
+    /// Gives the commands that are queued, and waits for what was started.
+    fn settle(&mut self) -> Result<(), CallError> {
+        if self.queued.is_empty() && self.pending.is_none() { Ok(()) } else { self.look() }
+    }
+
+    /// Sends a request and waits for its reply.
+    fn call(&mut self, kind: u32, fill: impl FnOnce(&mut [u8])) -> Result<RawReply, CallError> {
+        self.send_as(kind, 0, 0, fill)?;
         loop {
             if let Some(raw) = self.receive(SLICE)? {
                 self.check(&raw)?;
-                let answer = &self.reply_layout.answer.view::<AnswerRecord>(raw.payload(), 1)[0];
-                return Ok(answer.read().map(<[f64]>::to_vec));
+                return Ok(raw);
             }
         }
     }
@@ -249,9 +301,7 @@ impl LiveWorld {
         flags: u32,
         read: impl Fn(&PictureLayout, &[u8]) -> T,
     ) -> Result<T, CallError> {
-        if !self.queued.is_empty() || self.pending.is_some() {
-            self.look()?;
-        }
+        self.settle()?;
         self.send_as(kind::RENDER, flags, 0, |_| ())?;
         loop {
             let Some(raw) = self.receive(SLICE)? else { continue };

@@ -8,7 +8,7 @@ use trocar_proto::control::{ControlCalls, SessionInfo, SessionRequest};
 use trocar_proto::wire::{
     Header, MAX_IN_FLIGHT, PictureLayout, ReplyLayout, RequestLayout, flag, kind,
 };
-use trocar_proto::{Code, Placement, Rejection, TaskSpec, snapshot};
+use trocar_proto::{Code, Placement, Rejection, TaskSpec, part};
 
 use crate::client::Client;
 use crate::error::CallError;
@@ -265,7 +265,7 @@ impl Session {
     /// long as their episodes took up to there.
     pub fn import(&mut self, bytes: &[u8]) -> Result<Snapshot, CallError> {
         let (session, link) = (self.info.session, self.port.get()?.link());
-        let (parts, node) = (snapshot::split(bytes)?, link.node_id());
+        let (parts, node) = (part::split(bytes)?, link.node_id());
         let mut imported = Snapshot::new(&self.info, &[], &self.dropped);
         for part in parts {
             let number = link.import_snapshot(session, node, part.to_vec())?;

@@ -14,7 +14,7 @@ use crate::spec::{ImageSpec, Options, TaskSpec};
 pub const MAX_MESSAGE: usize = 64 * 1024;
 
 /// Version of everything in this crate; both sides must have the same.
-pub const PROTOCOL_VERSION: u32 = 14;
+pub const PROTOCOL_VERSION: u32 = 15;
 
 macro_rules! control_messages {
     ($(
@@ -124,7 +124,7 @@ control_messages! {
         "the dropping of snapshots";
     /// Asks for a snapshot of a session as bytes: one part. `node` is the client's, as it introduced itself.
     19 ExportSnapshot: export_snapshot { session: u64, node: u128, snapshot: u64 } -> Vec<u8>, "a snapshot's bytes";
-    /// Brings the bytes of a snapshot into a session: one part, as [`crate::snapshot::split`] gives it. The reply is the
+    /// Brings the bytes of a snapshot into a session: one part, as [`crate::part::split`] gives it. The reply is the
     /// number under which it is kept until [`ControlRequest::DropSnapshots`]. `node` is the client's, as it introduced
     /// itself.
     20 ImportSnapshot: import_snapshot { session: u64, node: u128, bytes: Vec<u8> } -> u64,
@@ -133,7 +133,7 @@ control_messages! {
     /// snapshot, and one at ends of episodes. One is recorded at a time: a new recording of a session ends the one before.
     21 Record: record { session: u64, env: u32, every: u32 } -> (), "the beginning of a recording";
     /// Asks for what was recorded of a session since the last time; to be repeated at least twice a minute, or the
-    /// recording ends. The reply has parts one after another, as [`crate::snapshot::split`] takes them, none where nothing
+    /// recording ends. The reply has parts one after another, as [`crate::part::split`] takes them, none where nothing
     /// is new; and the number of states that are missing since the client did not fetch the earlier ones in time.
     22 Recorded: recorded { session: u64 } -> (Vec<u8>, u64), "what was recorded";
     /// Brings a placement into a session, for [`crate::wire::kind::ARRANGE`]. The reply is the number under which it is

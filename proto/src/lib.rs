@@ -18,6 +18,7 @@
 //! | [`stage`] | what a scripted expert is about |
 //! | [`placement`] | how an episode shall begin |
 //! | [`seed`] | which numbers are seeds |
+//! | [`part`] | bytes that outlive a process: snapshots and recordings consist of them |
 //! | [`snapshot`] | the state of an environment as bytes |
 //! | [`error`] | refusals: the field, its value and what is allowed |
 //!
@@ -47,6 +48,7 @@ pub mod goal;
 pub mod missing_page;
 pub mod notify;
 pub mod open_files;
+pub mod part;
 pub mod placement;
 pub mod relative;
 pub mod seed;

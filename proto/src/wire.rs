@@ -269,6 +269,8 @@ pub struct LiveRequestLayout {
     pub commands: Region,
     /// A question, of [`kind::ASK`].
     pub question: Region,
+    /// u64 (1): the snapshot, of [`kind::RESTORE`].
+    pub snapshot: Region,
     /// Size of the payload.
     pub bytes: usize,
 }
@@ -280,7 +282,8 @@ impl LiveRequestLayout {
         let ticks = plan.region::<u32>(1);
         let commands = plan.region::<CommandRecord>(MAX_COMMANDS);
         let question = plan.region::<QuestionRecord>(1);
-        Self { ticks, commands, question, bytes: plan.bytes() }
+        let snapshot = plan.region::<u64>(1);
+        Self { ticks, commands, question, snapshot, bytes: plan.bytes() }
     }
 }
 
@@ -309,6 +312,8 @@ pub struct LiveReplyLayout {
     pub desired_goal: Region,
     /// The answer to a question; there is nothing else then.
     pub answer: Region,
+    /// u64 (1): the number of the snapshot that was taken, of [`kind::SNAPSHOT`].
+    pub snapshot: Region,
     /// Size of the payload.
     pub bytes: usize,
 }
@@ -326,6 +331,7 @@ impl LiveReplyLayout {
             achieved_goal: plan.region::<f32>(spec.goal_dim()),
             desired_goal: plan.region::<f32>(spec.goal_dim()),
             answer: plan.region::<AnswerRecord>(1),
+            snapshot: plan.region::<u64>(1),
             bytes: plan.bytes().max(MIN_REPLY),
         }
     }

@@ -22,7 +22,7 @@ use std::sync::Arc;
 
 use nalgebra::Vector3;
 use trocar_proto::goal::Reward;
-use trocar_proto::snapshot::{self, Recipe};
+use trocar_proto::snapshot::Recipe;
 use trocar_proto::spec::Element;
 use trocar_proto::{Code, Options, Placement, Rejection, Stage, TaskSpec};
 

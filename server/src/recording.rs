@@ -5,16 +5,24 @@
 //! episode began, which is all that the episode depends on, and a fingerprint of the state that came of it. So a
 //! program that plays a recording again sees at every snapshot whether it is still the same, bit by bit. A trainer can
 //! import any of them and go on from there.
+//!
+//! A recording of a live world has what its arms were told instead of actions, see [`trocar_proto::dvrk::course`].
 
 use std::collections::BTreeMap;
 
-use trocar_proto::snapshot::{self, Recipe};
+use trocar_proto::dvrk::course::LivePart;
+use trocar_proto::part::{self, Kind};
+use trocar_proto::snapshot::Recipe;
 use trocar_proto::{Code, Options, Rejection};
 
 use crate::env::{Env, Step};
 use crate::error::StepError;
 use crate::registry::Registry;
 use crate::render::Scene;
+
+pub(crate) mod live;
+
+use live::{LiveCourse, LiveReplay};
 
 /// Steps from one snapshot of an episode to the next, unless said otherwise.
 pub const EVERY: u32 = 10;
@@ -65,9 +73,20 @@ impl Recorder {
     }
 }
 
-/// One episode of a recording.
+/// One episode of a recording, or all of a live world.
 #[derive(Debug, Clone)]
-pub struct Course {
+pub struct Course(Told);
+
+/// What a recording tells.
+#[derive(Debug, Clone)]
+enum Told {
+    Episode(Box<Episode>),
+    Live(LiveCourse),
+}
+
+/// An episode that actions led through.
+#[derive(Debug, Clone)]
+struct Episode {
     /// What is known of its last state; the actions are those of the whole episode.
     recipe: Recipe,
     /// The fingerprints that states must have, by the numbers of actions taken until then.
@@ -77,42 +96,79 @@ pub struct Course {
 impl Course {
     /// Task id.
     pub fn task(&self) -> &str {
-        &self.recipe.task
+        match &self.0 {
+            Told::Episode(episode) => &episode.recipe.task,
+            Told::Live(course) => &course.beginning.task,
+        }
     }
 
     /// Seed of the episode.
     pub fn seed(&self) -> u64 {
-        self.recipe.seed
+        match &self.0 {
+            Told::Episode(episode) => episode.recipe.seed,
+            Told::Live(course) => course.beginning.seed,
+        }
     }
 
     /// Number of the episode under that seed.
     pub fn episode(&self) -> u64 {
-        self.recipe.episode
+        match &self.0 {
+            Told::Episode(episode) => episode.recipe.episode,
+            Told::Live(_) => 0,
+        }
     }
 
     /// Its options.
     pub fn options(&self) -> &Options {
-        &self.recipe.options
+        match &self.0 {
+            Told::Episode(episode) => &episode.recipe.options,
+            Told::Live(course) => &course.beginning.options,
+        }
+    }
+
+    /// Whether it is of a live world, whose arms were told what to do.
+    pub fn is_live(&self) -> bool {
+        matches!(self.0, Told::Live(_))
     }
 
     /// How many of its states are compared.
     pub fn marks(&self) -> usize {
-        self.marks.len()
+        match &self.0 {
+            Told::Episode(episode) => episode.marks.len(),
+            Told::Live(course) => course.marks(),
+        }
     }
 }
 
 /// The episodes of a recording, in the order in which they were played; `bytes` may be anything.
 pub fn read(bytes: &[u8]) -> Result<Vec<Course>, Rejection> {
     let mut courses: Vec<Course> = vec![];
-    for part in snapshot::split(bytes)? {
+    for part in part::split(bytes)? {
+        if Kind::of(part) == Some(Kind::Live) {
+            match (LivePart::from_bytes(part)?, courses.last_mut()) {
+                (LivePart::Beginning(beginning), _) => {
+                    courses.push(Course(Told::Live(LiveCourse::new(beginning))));
+                }
+                (LivePart::Stretch(next), Some(Course(Told::Live(course)))) => course.push(next)?,
+                (LivePart::Stretch(next), _) => {
+                    let (number, why) = (next.number, "it has no beginning");
+                    let field = "recording.number";
+                    return Err(Rejection::new(Code::InvalidSnapshot, field, number, why));
+                }
+            }
+            continue;
+        }
         let recipe = Recipe::from_bytes(part)?;
         let mark = (recipe.actions.len(), recipe.fingerprint);
         match courses.last_mut() {
-            Some(course) if goes_on(&course.recipe, &recipe) => {
-                course.marks.extend([mark]);
-                course.recipe = recipe;
+            Some(Course(Told::Episode(episode))) if goes_on(&episode.recipe, &recipe) => {
+                episode.marks.extend([mark]);
+                episode.recipe = recipe;
             }
-            _ => courses.push(Course { recipe, marks: [mark].into() }),
+            _ => {
+                let episode = Episode { recipe, marks: [mark].into() };
+                courses.push(Course(Told::Episode(episode.into())));
+            }
         }
     }
     Ok(courses)
@@ -125,37 +181,50 @@ fn goes_on(earlier: &Recipe, later: &Recipe) -> bool {
         && later.actions.starts_with(&earlier.actions)
 }
 
-/// An episode that is played again, step by step.
+/// An episode or a live world that is played again, step by step.
 #[derive(Clone)]
 pub struct Replay {
-    env: Env,
-    course: Course,
-    /// Numbers of actions that were carried out.
-    done: usize,
+    play: Play,
     failed: bool,
 }
 
+/// What is played.
+#[derive(Clone)]
+#[expect(clippy::large_enum_variant, reason = "there is one at a time")]
+enum Play {
+    Episode {
+        env: Env,
+        episode: Box<Episode>,
+        /// Numbers of actions that were carried out.
+        done: usize,
+    },
+    Live(LiveReplay),
+}
+
 impl Replay {
-    /// The episode at its beginning.
+    /// The episode or the world at its beginning.
     pub fn new(registry: &Registry, course: Course) -> Result<Self, Rejection> {
-        let recipe = &course.recipe;
-        let mut env = registry.make(&recipe.task, &recipe.options)?;
-        env.identity().check(recipe)?;
-        env.reset_to(recipe.seed, recipe.episode);
-        env.arrange(&recipe.placement)?;
-        let mut replay = Self { env, course, done: 0, failed: false };
-        replay.compare()?;
-        Ok(replay)
+        let play = match course.0 {
+            Told::Live(course) => Play::Live(LiveReplay::new(registry, course)?),
+            Told::Episode(episode) => {
+                let recipe = &episode.recipe;
+                let mut env = registry.make(&recipe.task, &recipe.options)?;
+                env.identity().check(recipe)?;
+                env.reset_to(recipe.seed, recipe.episode);
+                env.arrange(&recipe.placement)?;
+                compare(&env, &episode, 0)?;
+                Play::Episode { env, episode, done: 0 }
+            }
+        };
+        Ok(Self { play, failed: false })
     }
 
     /// The environment as it is now.
     pub fn env(&self) -> &Env {
-        &self.env
-    }
-
-    /// What is played.
-    pub fn course(&self) -> &Course {
-        &self.course
+        match &self.play {
+            Play::Episode { env, .. } => env,
+            Play::Live(replay) => replay.world.env(),
+        }
     }
 
     /// Plays the next step; `None` after the last. A failure of the simulation that was recorded fails
@@ -175,48 +244,85 @@ impl Replay {
         parts: u32,
         see: &mut dyn FnMut(Scene),
     ) -> Option<Result<Step, Rejection>> {
-        let actions = &self.course.recipe.actions;
-        if self.done >= actions.len() {
-            return None;
-        }
-        let end = self.done + self.env.spec().action_dim();
-        let step = match self.env.step_in_parts(&actions[self.done..end], parts, see) {
-            Ok(step) => step,
-            Err(StepError::Simulation { .. }) => {
-                self.failed = true;
-                Step { truncated: true, ..Step::default() }
+        let Self { play, failed } = self;
+        match play {
+            Play::Live(replay) => {
+                (!replay.is_done()).then(|| live_step(replay, failed, parts, see))
             }
-            Err(StepError::InvalidAction(refusal)) => return Some(Err(refusal)),
-            Err(StepError::ResetNeeded) => return Some(Err(self.differs("it has ended"))),
-        };
-        self.done = end;
-        Some(self.compare().map(|()| step))
+            Play::Episode { env, episode, done } => {
+                let actions = &episode.recipe.actions;
+                if *done >= actions.len() {
+                    return None;
+                }
+                let end = *done + env.spec().action_dim();
+                let step = match env.step_in_parts(&actions[*done..end], parts, see) {
+                    Ok(step) => step,
+                    Err(StepError::Simulation { .. }) => {
+                        *failed = true;
+                        Step { truncated: true, ..Step::default() }
+                    }
+                    Err(StepError::InvalidAction(refusal)) => return Some(Err(refusal)),
+                    Err(StepError::ResetNeeded) => return Some(Err(differs(env, "it has ended"))),
+                };
+                *done = end;
+                Some(compare(env, episode, end).map(|()| step))
+            }
+        }
     }
 
     /// Whether the simulation failed in its last step.
     pub fn has_failed(&self) -> bool {
         self.failed
     }
+}
 
-    /// An error where this state was recorded and is another now.
-    fn compare(&mut self) -> Result<(), Rejection> {
-        match self.course.marks.get(&self.done) {
-            Some(mark) if *mark != self.env.fingerprint() => {
-                Err(self.differs("another build or machine wrote it, or it was changed"))
+/// Plays a step's time of a live world, less at its end.
+fn live_step(
+    replay: &mut LiveReplay,
+    failed: &mut bool,
+    parts: u32,
+    see: &mut dyn FnMut(Scene),
+) -> Result<Step, Rejection> {
+    let ticks = replay.world.ticks_per_step();
+    let parts = parts.clamp(1, ticks);
+    for tick in 1..=ticks {
+        match replay.tick()? {
+            Some(true) => {}
+            Some(false) => return Err(differs(replay.world.env(), ANOTHER)),
+            None => {
+                *failed = true;
+                return Ok(Step { truncated: true, ..Step::default() });
             }
-            _ => Ok(()),
+        }
+        if replay.is_done() {
+            break;
+        }
+        let part = |tick: u32| tick * parts / ticks;
+        if tick < ticks && part(tick) > part(tick - 1) {
+            see(replay.world.env().scene());
         }
     }
+    Ok(replay.world.evaluate())
+}
 
-    fn differs(&self, why: &str) -> Rejection {
-        let Self { env, course, .. } = self;
-        Rejection::new(
-            Code::InvalidSnapshot,
-            "recording.fingerprint",
-            format!("episode {} of seed {}, step {}", course.episode(), course.seed(), env.steps()),
-            format!("its bits are not those that were recorded: {why}"),
-        )
+/// Why bits may differ.
+const ANOTHER: &str = "another build or machine wrote it, or it was changed";
+
+/// An error where this state was recorded and is another now.
+fn compare(env: &Env, episode: &Episode, done: usize) -> Result<(), Rejection> {
+    match episode.marks.get(&done) {
+        Some(mark) if *mark != env.fingerprint() => Err(differs(env, ANOTHER)),
+        _ => Ok(()),
     }
+}
+
+fn differs(env: &Env, why: &str) -> Rejection {
+    Rejection::new(
+        Code::InvalidSnapshot,
+        "recording.fingerprint",
+        format!("episode {} of seed {}, step {}", env.episode(), env.seed(), env.steps()),
+        format!("its bits are not those that were recorded: {why}"),
+    )
 }
 
 #[cfg(test)]
@@ -225,6 +331,13 @@ mod tests {
 
     fn env() -> Env {
         Registry::builtin().make("NeedleReach-v0", &Options::new()).unwrap()
+    }
+
+    fn episode(course: &mut Course) -> &mut Episode {
+        match &mut course.0 {
+            Told::Episode(episode) => episode,
+            Told::Live(_) => panic!("it is an episode"),
+        }
     }
 
     /// A recording of two episodes: one of 50 steps, one that is left after 13.
@@ -265,7 +378,7 @@ mod tests {
     fn another_action_is_noticed_at_the_next_snapshot() {
         let mut courses = read(&recording(10)).unwrap();
         // The last step before the next snapshot, at which the arm is at rest otherwise.
-        courses[0].recipe.actions[5 * 29] += 1e-3;
+        episode(&mut courses[0]).recipe.actions[5 * 29] += 1e-3;
         let mut replay = Replay::new(&Registry::builtin(), courses.remove(0)).unwrap();
         let refusal = std::iter::from_fn(|| replay.next()).find_map(Result::err).unwrap();
         assert_eq!(refusal.field, "recording.fingerprint");
@@ -278,7 +391,7 @@ mod tests {
         assert!(read(b"").is_err());
         assert!(read(&bytes[..bytes.len() - 1]).is_err());
         let mut courses = read(&bytes).unwrap();
-        courses[0].recipe.task = "Unknown-v0".into();
+        episode(&mut courses[0]).recipe.task = "Unknown-v0".into();
         assert!(Replay::new(&Registry::builtin(), courses.remove(0)).is_err());
     }
 }

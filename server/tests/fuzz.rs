@@ -9,7 +9,8 @@ use std::sync::Arc;
 
 use mutation::Mutator;
 use trocar_proto::control::ControlRequest;
-use trocar_proto::snapshot::{Recipe, fingerprint};
+use trocar_proto::part::fingerprint;
+use trocar_proto::snapshot::Recipe;
 use trocar_proto::{Options, Rejection};
 use trocar_server::Registry;
 use trocar_server::service::{Admission, Admitted, Footprint, ServerConfig, Usage};

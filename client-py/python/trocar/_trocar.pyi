@@ -267,6 +267,15 @@ class LiveWorld:
         """Observation, achieved and desired goal of the task."""
     def object(self, name: str) -> list[float]:
         """Where an object is in the world."""
+    def snapshot(self) -> Snapshot:
+        """Keeps the state of the world in the server, with what its arms are about."""
+    def restore(self, snapshot: Snapshot) -> None:
+        """Brings the world back to a state that was kept; ticks and stamps go on.
+
+        Every arm tells its operating state. Refused while another client drives an arm.
+        """
+    def recording(self) -> bytes:
+        """What led to the present state from the beginning on: a file for ``trocar replay``."""
     def render(self, depth: bool = False) -> NDArray[Any]:
         """Draws the world: uint8 (H, W, 3), or with ``depth`` float32 (H, W) in m."""
     def close(self) -> None:

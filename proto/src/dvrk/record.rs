@@ -200,12 +200,17 @@ impl CommandRecord {
 
     /// The command.
     pub fn command(&self) -> Result<Command, Rejection> {
+        let (topic, [first, second], text) = self.content()?;
+        Command::of(TOPICS[topic as usize], first, second, &text)
+    }
+
+    /// The place of its topic in [`TOPICS`], its numbers and its text.
+    pub(super) fn content(&self) -> Result<(u32, [&[f64]; 2], String), Rejection> {
         let Some(topic) = TOPICS.get(self.topic as usize) else {
             let allowed = format!("allowed are numbers below {}", TOPICS.len());
             return Err(Rejection::new(Code::InvalidCommand, "topic", self.topic, allowed));
         };
-        let [first, second] = self.numbers.read(topic)?;
-        Command::of(topic, first, second, &self.text.read())
+        Ok((self.topic, self.numbers.read(topic)?, self.text.read()))
     }
 }
 

@@ -10,8 +10,9 @@ use anyhow::Context;
 use clap::Args;
 use indicatif::ProgressBar;
 use trocar_client::{CallError, Client, Code};
+use trocar_proto::part::{self, Kind};
 use trocar_proto::seed;
-use trocar_proto::snapshot::{self, Recipe};
+use trocar_proto::snapshot::Recipe;
 use trocar_server::Registry;
 use trocar_server::recording::{EVERY, Recorder};
 
@@ -35,7 +36,8 @@ Examples:
 
 A recording has the task, its options, seeds and actions, and a snapshot each --every steps and at the end of
 every episode; Python can go on from any of them (trocar.Snapshot.from_bytes). A session is recorded from the
-beginning of its present episode on; its trainer notices nothing.")]
+beginning of its present episode on; its trainer notices nothing. A live world is recorded from its beginning on,
+with all commands to its arms.")]
 pub(crate) struct Record {
     /// A task id of `trocar tasks` [default: the policy's]
     #[arg(long, conflicts_with = "session")]
@@ -139,7 +141,13 @@ impl Record {
             };
             lost += missing;
             let is_all = bytes.is_empty();
-            for part in if is_all { vec![] } else { snapshot::split(&bytes)? } {
+            for part in if is_all { vec![] } else { part::split(&bytes)? } {
+                if Kind::of(part) == Some(Kind::Live) {
+                    // All that was done in a live world, from its beginning on, is one episode.
+                    last = Some((0, 0));
+                    out.write_all(part)?;
+                    continue;
+                }
                 let recipe = Recipe::from_bytes(part)?;
                 let now = (recipe.seed, recipe.episode);
                 if last.is_some_and(|last| last != now) {

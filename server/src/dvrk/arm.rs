@@ -301,6 +301,13 @@ impl ArmController {
         std::mem::take(&mut self.events)
     }
 
+    /// Goes on from this state after another one of the same arm: stamps still increase, and the arm tells its state.
+    pub fn resume_after(&mut self, present: &Self) {
+        (self.ticks, self.latest) = (present.ticks, present.latest);
+        self.events.clear();
+        self.tell_state();
+    }
+
     /// The operating state.
     pub fn operating_state(&self) -> OperatingState {
         OperatingState {

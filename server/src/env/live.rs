@@ -117,6 +117,23 @@ impl LiveWorld {
         self.env.task.objects().into_iter().map(pose)
     }
 
+    /// A number that stands for every bit of what is seen and of what the objects do.
+    pub(crate) fn fingerprint(&self) -> u64 {
+        self.env.fingerprint()
+    }
+
+    /// Ticks of a step of the task.
+    pub fn ticks_per_step(&self) -> u32 {
+        self.env.substeps
+    }
+
+    /// Goes on from this state after `present`: stamps still increase, and every arm tells its operating state.
+    pub(crate) fn resume_after(&mut self, present: &Self) {
+        for (arm, now) in self.arms_mut().zip(present.arms()) {
+            arm.resume_after(now);
+        }
+    }
+
     /// Lets a substep pass: the arms follow their controllers' set-points as far as the world lets them.
     pub fn tick(&mut self) -> Result<(), StepError> {
         if self.env.needs_reset() {

@@ -1,12 +1,13 @@
 //! Exported states: how one is written down, checked and rebuilt.
 //!
-//! See [`snapshot`] for what the bytes are. A state is rebuilt by going through its episode again.
+//! See [`trocar_proto::snapshot`] for what the bytes are. A state is rebuilt by going through its episode again.
 
 use std::sync::Arc;
 
+use trocar_proto::part;
 use trocar_proto::{Code, Options, TaskSpec};
 
-use super::{Env, RECORDED, Recipe, Rejection, State, snapshot};
+use super::{Env, RECORDED, Recipe, Rejection, State};
 
 impl Env {
     /// What led to the present state.
@@ -61,7 +62,7 @@ impl Env {
         self.observe(observation, achieved, desired);
         let words = seen.iter().map(|number| number.to_bits()).chain(self.world.bits());
         let words = words.chain([self.steps, u32::from(self.state == State::Over)]);
-        snapshot::fingerprint(words.flat_map(u32::to_le_bytes))
+        part::fingerprint(words.flat_map(u32::to_le_bytes))
     }
 }
 

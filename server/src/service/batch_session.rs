@@ -280,7 +280,7 @@ fn saved(
             Saved::Recipe(recipe) => {
                 recipes.insert(*number, Arc::clone(recipe));
             }
-            Saved::Placement(_) => return Err(store::no_state(*number)),
+            Saved::Placement(_) | Saved::World(_) => return Err(store::no_state(*number)),
         }
     }
     let rebuilds = recipes.values().map(|recipe| Rebuild::new(batch.like(), (**recipe).clone()));
@@ -300,7 +300,7 @@ fn saved(
     })?;
     let state = |(number, saved): (&u64, Saved)| match saved {
         Saved::State(env) => env,
-        Saved::Recipe(_) | Saved::Placement(_) => Arc::clone(&states[number]),
+        _ => Arc::clone(&states[number]),
     };
     Ok(numbers.iter().zip(found).map(state).collect())
 }

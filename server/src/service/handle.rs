@@ -8,7 +8,7 @@ use std::time::{Duration, Instant};
 
 use hdrhistogram::Histogram;
 use trocar_proto::control::{ClientInfo, SessionStatus};
-use trocar_proto::snapshot::MAX_PART;
+use trocar_proto::part::MAX_PART;
 use trocar_proto::{Code, Placement, Rejection};
 
 use super::admission::Footprint;
@@ -169,13 +169,19 @@ impl SessionHandle {
             let allowed = format!("allowed are numbers below {}", self.shared.envs);
             return Err(Rejection::new(Code::InvalidEnvIds, "env", env, allowed));
         }
-        self.shared.recording.start(env, every);
+        match self.shared.world.get() {
+            Some(world) => world.record(),
+            None => self.shared.recording.start(env, every),
+        }
         Ok(())
     }
 
     /// What was recorded since the last time, and how many states were lost.
     pub(super) fn recorded(&self) -> Result<(Vec<u8>, u64), Rejection> {
-        self.shared.recording.fetch(MAX_PART)
+        match self.shared.world.get() {
+            Some(world) => Ok((world.recorded(MAX_PART)?, 0)),
+            None => self.shared.recording.fetch(MAX_PART),
+        }
     }
 
     pub(super) fn id(&self) -> u64 {

@@ -21,6 +21,7 @@ use super::internal;
 use super::scheduler::{Quantum, Scheduler, SlotId, Splittable};
 use super::session::{Description, ServerContext, SessionKind};
 use super::shared_world::{Driver, Passed, SharedWorld};
+use super::store::{self, Ledger, Saved};
 use crate::env::{Env, Imaging, Shot};
 
 /// Ticks that are simulated between two looks at the quantum: a few hundred microseconds.
@@ -56,12 +57,13 @@ impl LiveSession {
     /// A session with a world of its own, or with that of another session.
     pub(super) fn new(
         context: &Arc<ServerContext>,
+        ledger: &Arc<Ledger>,
         shared: &Arc<Shared>,
         wanted: &SessionRequest,
         live: LiveRequest,
     ) -> Result<Self, Rejection> {
         let world = match live.world {
-            None => Arc::new(SharedWorld::new(&context.registry, wanted, live)?),
+            None => Arc::new(SharedWorld::new(&context.registry, ledger, wanted, live)?),
             Some(session) => {
                 let found = context.watch.session(session);
                 let world = found.and_then(|shared| shared.world.get().cloned());
@@ -122,8 +124,7 @@ impl LiveSession {
         }
         self.commands.clear();
         self.commands.extend_from_slice(&layout.commands.view(payload, 1)[..rows]);
-        let driver = Driver { session: self.shared.id, pid: self.shared.client.pid };
-        self.world.command(driver, &self.commands)?;
+        self.world.command(self.driver(), &self.commands)?;
         let until_event = asked.flags & flag::UNTIL_EVENT != 0;
         let mut passed = Passed::default();
         while passed.ticks < ticks && !(until_event && passed.has_told) {
@@ -142,7 +143,33 @@ impl LiveSession {
         }
         self.world.write(&self.reply_layout, reply, passed, &mut self.heard)?;
         let steps = self.world.with_env(Env::steps);
-        Ok(u64::from(steps - std::mem::replace(&mut self.steps, steps)))
+        // A world that was brought back to an earlier state has fewer.
+        Ok(u64::from(steps.saturating_sub(std::mem::replace(&mut self.steps, steps))))
+    }
+
+    /// Keeps the state of the world.
+    fn save(&self, reply: &mut [u8]) -> Result<(), Rejection> {
+        let mut room = self.shared.with_store(|store| store.make_room(1))?;
+        let saved = Saved::World(Arc::new(self.world.save()?));
+        let number = self.shared.with_store(|store| Ok(store.put(&mut room, saved)))?;
+        self.reply_layout.snapshot.view_mut(reply, 1)[0] = number;
+        Ok(())
+    }
+
+    /// Brings the world back to a state that was kept.
+    fn restore(&mut self, payload: &[u8], reply: &mut [u8]) -> Result<(), Rejection> {
+        let number: u64 = self.request_layout.snapshot.view(payload, 1)[0];
+        let Saved::World(saved) = self.shared.with_store(|store| store.get(number))? else {
+            return Err(store::no_state(number));
+        };
+        self.world.restore(self.driver(), &saved)?;
+        self.steps = self.world.with_env(Env::steps);
+        self.note_change();
+        self.world.write(&self.reply_layout, reply, Passed::default(), &mut self.heard)
+    }
+
+    fn driver(&self) -> Driver {
+        Driver { session: self.shared.id, pid: self.shared.client.pid }
     }
 
     /// Draws the world as it is: colours, or depth.
@@ -212,9 +239,11 @@ impl SessionKind for LiveSession {
                 self.reply_layout.answer.view_mut(reply, 1)[0] = self.world.answer(&question)?;
             }
             kind::RENDER => self.draw(asked.flags & flag::DEPTH != 0, reply, quantum)?,
+            kind::SNAPSHOT => self.save(reply)?,
+            kind::RESTORE => self.restore(payload, reply)?,
             other => {
-                let (live, ask, render) = (kind::LIVE, kind::ASK, kind::RENDER);
-                let allowed = format!("a live world takes {live}, {ask} and {render}");
+                let taken = [kind::LIVE, kind::ASK, kind::RENDER, kind::SNAPSHOT, kind::RESTORE];
+                let allowed = format!("a live world takes {taken:?}");
                 return Err(Rejection::new(Code::Malformed, "header.kind", other, allowed));
             }
         }

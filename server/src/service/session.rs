@@ -103,7 +103,7 @@ pub(super) fn open(
         let opened = match wanted.live {
             None => BatchSession::new(&context, &inner, &wanted)
                 .and_then(|kind| Session::open(&context, quota, inner, &wanted, kind, slot, life)),
-            Some(live) => LiveSession::new(&context, &inner, &wanted, live)
+            Some(live) => LiveSession::new(&context, &quota.ledger, &inner, &wanted, live)
                 .and_then(|kind| Session::open(&context, quota, inner, &wanted, kind, slot, life)),
         };
         match opened {

@@ -7,11 +7,12 @@
 //!   for which the server had no processor is left out: the world is then late, and never hurries.
 
 use std::collections::VecDeque;
-use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
 use arrayvec::ArrayVec;
 use trocar_proto::control::SessionRequest;
+use trocar_proto::dvrk::course::Beginning;
 use trocar_proto::dvrk::record::{
     AnswerRecord, CommandRecord, EventRecord, Question, QuestionRecord, WorldRecord,
 };
@@ -21,9 +22,11 @@ use trocar_proto::dvrk::{
 use trocar_proto::wire::{LiveReplyLayout, MAX_EVENTS};
 use trocar_proto::{Code, Rejection};
 
+use super::store::Ledger;
 use crate::dvrk::{ArmController, Pose};
 use crate::env::{Env, LiveWorld};
 use crate::error::StepError;
+use crate::recording::live::LiveLog;
 use crate::registry::Registry;
 use crate::sim::motion::MAX_INSTRUMENTS;
 
@@ -33,17 +36,35 @@ const MOST_EVENTS: usize = 4096;
 /// Furthest that a paced world may be behind before it leaves time out.
 const LATEST: Duration = Duration::from_millis(100);
 
+/// In which portions the memory of a recording is counted, bytes.
+const RECORDED_AT_ONCE: u64 = 1 << 20;
+
 /// A live world, and what its sessions have of it.
 pub(super) struct SharedWorld {
     /// What it was made with.
     request: SessionRequest,
     info: LiveInfo,
     state: Mutex<WorldState>,
+    /// Where the memory of its recording is counted.
+    ledger: Arc<Ledger>,
+}
+
+/// A state of a world, to which it can be brought back.
+#[derive(Clone)]
+pub(super) struct SavedWorld {
+    world: LiveWorld,
+    log: LiveLog,
 }
 
 /// What changes.
 struct WorldState {
     world: LiveWorld,
+    /// What led to it.
+    log: LiveLog,
+    /// Bytes of the ledger that are counted for that.
+    paid: u64,
+    /// Parts of the recording that a recorder has, where there is one.
+    fetched: Option<Vec<Arc<[u8]>>>,
     /// Which session drives each arm.
     drivers: ArrayVec<Option<Driver>, { MAX_INSTRUMENTS + 1 }>,
     events: VecDeque<EventRecord>,
@@ -63,6 +84,17 @@ pub(super) struct Driver {
     pub(super) session: u64,
     /// The client's process.
     pub(super) pid: u32,
+}
+
+impl Driver {
+    /// The refusal of what another session asks of its arm.
+    fn refusal(&self, arm: &str) -> Rejection {
+        let allowed = format!(
+            "process {} drives it, in session {}; it is free once that session ends",
+            self.pid, self.session
+        );
+        Rejection::new(Code::ArmIsDriven, "arm", arm, allowed)
+    }
 }
 
 /// The pace of a world.
@@ -87,11 +119,19 @@ impl SharedWorld {
     /// The world that a session asks for.
     pub(super) fn new(
         registry: &Registry,
+        ledger: &Arc<Ledger>,
         request: &SessionRequest,
         live: LiveRequest,
     ) -> Result<Self, Rejection> {
         let mut env = registry.make(&request.task, &request.options)?;
         env.reset(Some(request.seed));
+        let log = LiveLog::new(Beginning {
+            version: env!("CARGO_PKG_VERSION").into(),
+            task: request.task.clone(),
+            options: request.options.clone(),
+            seed: request.seed,
+            homing: live.homing,
+        })?;
         let world = LiveWorld::new(env, live.homing)?;
         let arms = world.arms().map(|arm| arm_info(&world, arm)).collect();
         let objects = world.objects().map(|(name, _)| name.to_string()).collect();
@@ -114,9 +154,13 @@ impl SharedWorld {
                 [vec![0.0; spec.observation_dim()], goal.clone(), goal]
             },
             over: None,
+            log,
+            paid: 0,
+            fetched: None,
             world,
         };
-        Ok(Self { request: request.clone(), info, state: Mutex::new(state) })
+        let (state, ledger) = (Mutex::new(state), Arc::clone(ledger));
+        Ok(Self { request: request.clone(), info, state, ledger })
     }
 
     /// The world as its clients see it.
@@ -172,22 +216,89 @@ impl SharedWorld {
         }
         for (place, _) in &commands {
             if let Some(other) = state.drivers[*place].filter(|other| *other != driver) {
-                let allowed = format!(
-                    "process {} drives it, in session {}; it is free once that session ends",
-                    other.pid, other.session
-                );
-                let name = &self.info.arms[*place].name;
-                return Err(Rejection::new(Code::ArmIsDriven, "arm", name, allowed));
+                return Err(other.refusal(&self.info.arms[*place].name));
             }
         }
-        for (place, command) in commands {
-            state.drivers[place] = Some(driver);
-            if let Some(arm) = state.world.arms_mut().nth(place) {
-                arm.command(&command);
-            }
+        for ((place, command), record) in commands.iter().zip(records) {
+            state.drivers[*place] = Some(driver);
+            state.give(*place, command, record);
         }
+        self.pay(&mut state);
         state.listen();
         Ok(())
+    }
+
+    /// The state of the world, to come back to.
+    pub(super) fn save(&self) -> Result<SavedWorld, Rejection> {
+        let mut state = self.lock();
+        let WorldState { world, log, over, .. } = &mut *state;
+        if let Some(over) = over {
+            return Err(over.clone());
+        }
+        log.close(world);
+        let saved = SavedWorld { world: world.clone(), log: log.clone() };
+        self.pay(&mut state);
+        Ok(saved)
+    }
+
+    /// Brings the world back to a state that was kept. Time goes on from where it is.
+    pub(super) fn restore(&self, driver: Driver, saved: &SavedWorld) -> Result<(), Rejection> {
+        let mut state = self.lock();
+        if let Some(over) = state.over.as_ref().filter(|over| over.code == Code::UnknownSession) {
+            return Err(over.clone());
+        }
+        let others = state.drivers.iter().zip(&self.info.arms);
+        let mut others = others.filter_map(|(other, arm)| Some((other.as_ref()?, &arm.name)));
+        if let Some((other, name)) = others.find(|(other, _)| **other != driver) {
+            return Err(other.refusal(name));
+        }
+        let SavedWorld { mut world, log } = saved.clone();
+        world.resume_after(&state.world);
+        (state.world, state.log, state.over) = (world, log, None);
+        state.listen();
+        Ok(())
+    }
+
+    /// Begins a recording, which has all that led to the present state.
+    pub(super) fn record(&self) {
+        self.lock().fetched = Some(vec![]);
+    }
+
+    /// The parts of the recording that were not fetched yet, of about `room` bytes.
+    pub(super) fn recorded(&self, room: usize) -> Result<Vec<u8>, Rejection> {
+        let mut state = self.lock();
+        let WorldState { world, log, fetched, .. } = &mut *state;
+        let Some(fetched) = fetched else {
+            let why = "it is not recorded; begin again";
+            return Err(Rejection::new(Code::UnknownSession, "recording", "none", why));
+        };
+        log.close(world);
+        let parts = log.parts()?;
+        let same = fetched.iter().zip(parts).take_while(|(one, other)| Arc::ptr_eq(one, other));
+        let same = same.count();
+        fetched.truncate(same);
+        let mut bytes = vec![];
+        for part in &parts[same..] {
+            if !bytes.is_empty() && bytes.len() + part.len() > room {
+                break;
+            }
+            bytes.extend_from_slice(part);
+            fetched.push(Arc::clone(part));
+        }
+        self.pay(&mut state);
+        Ok(bytes)
+    }
+
+    /// Has the memory of the recording counted, or gives it up.
+    fn pay(&self, state: &mut WorldState) {
+        let due = (state.log.bytes() as u64).saturating_sub(state.paid).div_ceil(RECORDED_AT_ONCE);
+        if due == 0 {
+            return;
+        }
+        match self.ledger.take(due as usize, RECORDED_AT_ONCE) {
+            Ok(()) => state.paid += due * RECORDED_AT_ONCE,
+            Err(_) => state.log.give_up(),
+        }
     }
 
     /// Lets up to so many ticks pass in lock-step.
@@ -307,13 +418,13 @@ impl SharedWorld {
     /// Frees the arms that a session drove, which then hold; with the session that made it, the world ends.
     pub(super) fn leave(&self, session: u64, is_maker: bool) {
         let mut state = self.lock();
-        let WorldState { world, drivers, .. } = &mut *state;
-        for (driver, arm) in drivers.iter_mut().zip(world.arms_mut()) {
-            if driver.is_some_and(|driver| driver.session == session) {
-                *driver = None;
-                let is = arm.operating_state();
-                if is.state == State::Enabled && is.is_homed {
-                    arm.command(&Command::Hold);
+        for place in 0..state.drivers.len() {
+            if state.drivers[place].is_some_and(|driver| driver.session == session) {
+                state.drivers[place] = None;
+                let is = state.world.arms().nth(place).map(ArmController::operating_state);
+                if is.is_some_and(|is| is.state == State::Enabled && is.is_homed) {
+                    let hold = CommandRecord::new(place as u32, &Command::Hold);
+                    state.give(place, &Command::Hold, &hold.expect("it has no numbers"));
                 }
             }
         }
@@ -346,6 +457,13 @@ impl SharedWorld {
     }
 }
 
+impl Drop for SharedWorld {
+    fn drop(&mut self) {
+        let paid = self.lock().paid;
+        self.ledger.give_back(paid);
+    }
+}
+
 impl WorldState {
     fn tick(&mut self, most: u32, until_event: bool) -> Result<Passed, Rejection> {
         let mut passed = Passed::default();
@@ -363,11 +481,20 @@ impl WorldState {
                 self.over = Some(over.clone());
                 return Err(over);
             }
+            self.log.tick(&self.world);
             self.ticks += 1;
             passed.ticks += 1;
             passed.has_told |= self.listen();
         }
         Ok(passed)
+    }
+
+    /// Gives an arm a command.
+    fn give(&mut self, place: usize, command: &Command, record: &CommandRecord) {
+        self.log.give(record, &self.world);
+        if let Some(arm) = self.world.arms_mut().nth(place) {
+            arm.command(command);
+        }
     }
 
     /// Takes down what the arms have told; whether that is anything.
@@ -419,7 +546,34 @@ fn arm_info(world: &LiveWorld, arm: &ArmController) -> ArmInfo {
 
 #[cfg(test)]
 mod tests {
+    use trocar_proto::dvrk::StateCommand;
+
     use super::*;
+
+    #[test]
+    fn a_recording_for_which_there_is_no_memory_is_given_up_and_the_world_goes_on() {
+        let ledger = Arc::new(Ledger::new(RECORDED_AT_ONCE));
+        let request = SessionRequest::new("NeedleReach-v0");
+        let new = || {
+            let (registry, live) = (Registry::builtin(), LiveRequest::default());
+            SharedWorld::new(&registry, &ledger, &request, live).unwrap()
+        };
+        let (one, two) = (new(), new());
+        let enable = CommandRecord::new(0, &Command::State(StateCommand::Enable)).unwrap();
+        let driver = Driver { session: 1, pid: 1 };
+        for (world, is_recorded) in [(&one, true), (&two, false)] {
+            world.record();
+            world.command(driver, &[enable]).unwrap();
+            assert_eq!(world.advance(300, false).unwrap().ticks, 300);
+            let recorded = world.recorded(1 << 16);
+            assert_eq!(recorded.is_ok_and(|bytes| bytes.len() > 100), is_recorded);
+        }
+        let refusal = two.recorded(1 << 16).unwrap_err();
+        assert_eq!((refusal.code, refusal.field.as_str()), (Code::MemoryBudget, "recording"));
+        assert_eq!(ledger.snapshots(), RECORDED_AT_ONCE);
+        drop(one);
+        assert_eq!(ledger.snapshots(), 0);
+    }
 
     #[test]
     fn a_world_that_is_late_leaves_time_out_and_never_hurries() {

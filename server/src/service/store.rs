@@ -7,6 +7,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use trocar_proto::snapshot::Recipe;
 use trocar_proto::{Code, Placement, Rejection};
 
+use super::shared_world::SavedWorld;
 use crate::env::{Env, Identity};
 
 /// Memory that sessions and snapshots share, bytes: those of a server, or of one of its clients.
@@ -48,7 +49,7 @@ impl Ledger {
     }
 
     /// Counts `count` more snapshots of `each` bytes, unless the budget forbids it.
-    fn take(&self, count: usize, each: u64) -> Result<(), Rejection> {
+    pub(super) fn take(&self, count: usize, each: u64) -> Result<(), Rejection> {
         if let Some(whole) = &self.whole {
             whole.take(count, each)?;
         }
@@ -78,7 +79,7 @@ impl Ledger {
         })
     }
 
-    fn give_back(&self, bytes: u64) {
+    pub(super) fn give_back(&self, bytes: u64) {
         if let Some(whole) = &self.whole {
             whole.give_back(bytes);
         }
@@ -103,6 +104,8 @@ pub(super) enum Saved {
     Recipe(Arc<Recipe>),
     /// No state, but how an episode shall begin.
     Placement(Arc<Placement>),
+    /// A state of a live world.
+    World(Arc<SavedWorld>),
 }
 
 /// The snapshots of one session; they end with it.
@@ -184,6 +187,10 @@ impl Store {
             Saved::State(env) => env.export(),
             Saved::Recipe(recipe) => recipe.to_bytes(),
             Saved::Placement(_) => Err(no_state(number)),
+            Saved::World(_) => {
+                let why = "states of live worlds stay in the server; record the world instead";
+                Err(Rejection::new(Code::Unsupported, "snapshot", number, why))
+            }
         }
     }
 

@@ -2,7 +2,8 @@
 
 use std::sync::LazyLock;
 
-use trocar_proto::snapshot::{self, Recipe, fingerprint};
+use trocar_proto::part::{self, Kind, fingerprint};
+use trocar_proto::snapshot::Recipe;
 use trocar_proto::{Options, PROTOCOL_VERSION, Placement};
 use trocar_server::{Env, Registry};
 
@@ -29,14 +30,14 @@ pub(crate) fn run(data: &[u8]) {
     let env = &ENVS[input.byte() as usize % ENVS.len()];
     match input.byte() % 3 {
         0 => import(env, input.rest()),
-        1 => import(env, &seal(input.rest())),
+        1 => import(env, &seal(Kind::Snapshot, input.rest())),
         _ => play(env.clone(), input),
     }
 }
 
 /// What is taken is a state that is exported as these bytes say.
 fn import(env: &Env, bytes: &[u8]) {
-    if let Ok(parts) = snapshot::split(bytes) {
+    if let Ok(parts) = part::split(bytes) {
         assert_eq!(parts.concat(), bytes);
     }
     match env.import(bytes) {
@@ -69,7 +70,7 @@ fn play(mut env: Env, mut input: Input<'_>) {
     let mut body = bytes[HEAD..].to_vec();
     let at = at % body.len();
     body[at] ^= flip;
-    import(&env, &seal(&body));
+    import(&env, &seal(Kind::Snapshot, &body));
 }
 
 /// Objects, goal and tip at some place of the workspace, each where a bit asks for it.
@@ -97,9 +98,9 @@ fn placement(env: &Env, input: &mut Input<'_>) -> Placement {
 /// Bytes before a part's body.
 const HEAD: usize = 24;
 
-/// A part with this body, whose head fits it.
-pub(crate) fn seal(body: &[u8]) -> Vec<u8> {
-    let mut part = b"TRCRSNAP".to_vec();
+/// A part of a kind with this body, whose head fits it.
+pub(crate) fn seal(kind: Kind, body: &[u8]) -> Vec<u8> {
+    let mut part = kind.magic().to_vec();
     part.extend(PROTOCOL_VERSION.to_le_bytes());
     part.extend((body.len() as u32).to_le_bytes());
     part.extend(fingerprint(body.iter().copied()).to_le_bytes());

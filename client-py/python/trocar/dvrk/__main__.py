@@ -11,6 +11,7 @@ import runpy
 import sys
 import time
 import types
+from pathlib import Path
 from typing import Any
 
 from trocar import dvrk
@@ -68,6 +69,12 @@ def arguments() -> argparse.Namespace:
         default="rcm",
         help="frame of the arms' poses: each remote centre's, or the world's (%(default)s)",
     )
+    parser.add_argument(
+        "--record",
+        type=Path,
+        metavar="FILE.trocar",
+        help="write what was done, for `trocar replay`",
+    )
     parser.add_argument("--quiet", action="store_true", help="do not print warnings of arms")
     parser.add_argument("script", help="the script")
     parser.add_argument("args", nargs=argparse.REMAINDER, help="its arguments")
@@ -102,6 +109,8 @@ def main() -> None:
     finally:
         time.sleep, time.time = clock
         dvrk.use(None)
+        if given.record:
+            given.record.write_bytes(world.live.recording())
         world.close()
 
 
