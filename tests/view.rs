@@ -255,8 +255,6 @@ fn a_live_world_is_shown_while_its_arms_move() {
     while page.frame().0.poses == first.poses {
         assert!(start.elapsed() < PATIENCE, "the arm was never shown to move");
     }
-    let refusal = theatre.logged.server.connect().record(number, 0, 1).unwrap_err();
-    assert!(refusal.to_string().contains("live world"), "{refusal}");
 }
 
 #[test]
