@@ -2,7 +2,7 @@
 
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-use trocar_client::proto::dvrk::course::LivePart;
+use trocar_client::proto::dvrk::recording::LivePart;
 use trocar_client::proto::dvrk::{Command, LiveRequest, Report, StateCommand};
 use trocar_client::proto::part;
 use trocar_client::{Code, SessionRequest};

@@ -36,6 +36,7 @@ mod harness;
 mod images;
 mod lifecycle;
 mod live;
+mod live_scripts;
 mod live_states;
 mod namespaces;
 mod operation;

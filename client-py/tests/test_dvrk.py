@@ -212,6 +212,58 @@ def test_readings_have_the_shapes_of_dvrks(psm: Any, world: dvrk.World) -> None:
     assert psm.name() == "PSM1"
 
 
+@pytest.mark.parametrize("speed", [None, 20.0])
+def test_scripts_connect_enable_home_and_poll(server: str, speed: float | None) -> None:
+    """A1, A2 and A6 of dVRK's own scripts, with a PSM and an ECM."""
+    for task, name, arm in [("NeedleReach-v0", "PSM1", dvrk.psm), ("EcmReach-v0", "ECM", dvrk.ecm)]:
+        with dvrk.session(task, server=server, speed=speed) as world:
+            ral = crtk.ral("test")
+            driven: Any = arm(ral, name)
+            ral.check_connections(5.0)  # A1
+            for _ in range(2):  # A2
+                assert driven.enable(10)
+                assert driven.home(10)
+            home = HOME[: len(driven.measured_jp()[0])]
+            np.testing.assert_allclose(driven.setpoint_jp()[0], home, rtol=0, atol=1e-9)
+            start = world.now()
+            assert driven.home(10)
+            assert world.now() - start < 0.5
+            for goal in (0.1, -0.1, 0.0):  # A6
+                joints = np.array(home)
+                joints[0] += goal
+                handle = driven.move_jp(joints)
+                while handle.is_busy():
+                    world.sleep(0.01)
+                np.testing.assert_allclose(driven.measured_jp()[0], joints, rtol=0, atol=1e-6)
+
+
+def test_a_script_that_starts_late_finds_its_way(server: str, world: dvrk.World) -> None:
+    """B12: in a world whose arm another script has homed, and still drives at first."""
+    shared = world.live.id
+    first = dvrk.World("NeedleReach-v0", server=server, world=shared)
+    late = dvrk.World("NeedleReach-v0", server=server, world=shared)
+    try:
+        dvrk.use(first)
+        homed: Any = dvrk.psm(crtk.ral("first"), "PSM1")
+        assert homed.enable(10)
+        assert homed.home(10)
+        dvrk.use(late)
+        arm: Any = dvrk.psm(crtk.ral("late"), "PSM1")
+        with pytest.raises(ArmIsDriven, match="PSM1"):
+            arm.home(1)
+        first.close()
+        # It has heard of no state yet, and every command is answered.
+        again: Any = dvrk.psm(crtk.ral("again"), "PSM1")
+        assert again.home(10)
+        assert again.is_homed()
+        assert again.move_jp(away(0.1)).wait()
+        assert again.measured_jp()[0][0] == 0.1
+    finally:
+        dvrk.use(world)
+        first.close()
+        late.close()
+
+
 def test_handles_wait_as_dvrks_do(psm: Any, world: dvrk.World) -> None:
     """For a message that the arm is busy, and one that it is not any more."""
     # To where the arm is: at once.

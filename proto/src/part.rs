@@ -20,7 +20,7 @@ const HEAD: usize = 8 + 4 + 4 + 8;
 pub enum Kind {
     /// A [`Recipe`](crate::snapshot::Recipe): what led to the state of an environment.
     Snapshot,
-    /// A [`LivePart`](crate::dvrk::course::LivePart): what led to the state of a live world.
+    /// A [`LivePart`](crate::dvrk::recording::LivePart): what led to the state of a live world.
     Live,
 }
 

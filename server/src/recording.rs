@@ -6,11 +6,11 @@
 //! program that plays a recording again sees at every snapshot whether it is still the same, bit by bit. A trainer can
 //! import any of them and go on from there.
 //!
-//! A recording of a live world has what its arms were told instead of actions, see [`trocar_proto::dvrk::course`].
+//! A recording of a live world has what its arms were told instead of actions, see [`trocar_proto::dvrk::recording`].
 
 use std::collections::BTreeMap;
 
-use trocar_proto::dvrk::course::LivePart;
+use trocar_proto::dvrk::recording::LivePart;
 use trocar_proto::part::{self, Kind};
 use trocar_proto::snapshot::Recipe;
 use trocar_proto::{Code, Options, Rejection};
@@ -22,7 +22,7 @@ use crate::render::Scene;
 
 pub(crate) mod live;
 
-use live::{LiveCourse, LiveReplay};
+use live::{LiveEpisode, LiveReplay};
 
 /// Steps from one snapshot of an episode to the next, unless said otherwise.
 pub const EVERY: u32 = 10;
@@ -81,7 +81,7 @@ pub struct Course(Told);
 #[derive(Debug, Clone)]
 enum Told {
     Episode(Box<Episode>),
-    Live(LiveCourse),
+    Live(LiveEpisode),
 }
 
 /// An episode that actions led through.
@@ -147,7 +147,7 @@ pub fn read(bytes: &[u8]) -> Result<Vec<Course>, Rejection> {
         if Kind::of(part) == Some(Kind::Live) {
             match (LivePart::from_bytes(part)?, courses.last_mut()) {
                 (LivePart::Beginning(beginning), _) => {
-                    courses.push(Course(Told::Live(LiveCourse::new(beginning))));
+                    courses.push(Course(Told::Live(LiveEpisode::new(beginning))));
                 }
                 (LivePart::Stretch(next), Some(Course(Told::Live(course)))) => course.push(next)?,
                 (LivePart::Stretch(next), _) => {

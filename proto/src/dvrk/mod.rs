@@ -7,14 +7,14 @@
 //! | [`report`] | what arms tell: states, ends of moves, warnings, errors |
 //! | [`live`] | how a session with a live world is opened |
 //! | [`record`] | all of that as fixed-size records in shared memory |
-//! | [`course`] | what led to a world's state, as bytes: recordings |
+//! | [`recording`] | what led to a world's state, as bytes: recordings |
 
 use nalgebra::Isometry3;
 
 pub mod command;
-pub mod course;
 pub mod live;
 pub mod record;
+pub mod recording;
 pub mod report;
 pub mod state;
 

@@ -2,8 +2,8 @@
 
 use std::sync::Arc;
 
-use trocar_proto::dvrk::course::{Beginning, Given, LivePart, MOST_TICKS, Stretch};
 use trocar_proto::dvrk::record::CommandRecord;
+use trocar_proto::dvrk::recording::{Beginning, Given, LivePart, MOST_TICKS, Stretch};
 use trocar_proto::{Code, Rejection};
 
 use crate::env::LiveWorld;
@@ -113,7 +113,7 @@ impl LiveLog {
 
 /// What was done in a live world, from its beginning to the end of a recording.
 #[derive(Debug, Clone)]
-pub(super) struct LiveCourse {
+pub(super) struct LiveEpisode {
     pub(super) beginning: Beginning,
     stretches: Vec<Stretch>,
 }
@@ -123,7 +123,7 @@ fn refuse(part: &str, value: u64, allowed: String) -> Rejection {
     Rejection::new(Code::InvalidSnapshot, format!("recording.{part}"), value, allowed)
 }
 
-impl LiveCourse {
+impl LiveEpisode {
     pub(super) fn new(beginning: Beginning) -> Self {
         Self { beginning, stretches: vec![] }
     }
@@ -169,8 +169,8 @@ pub(super) struct LiveReplay {
 
 impl LiveReplay {
     /// The world at its beginning.
-    pub(super) fn new(registry: &Registry, course: LiveCourse) -> Result<Self, Rejection> {
-        let Beginning { version, task, options, seed, homing } = course.beginning;
+    pub(super) fn new(registry: &Registry, episode: LiveEpisode) -> Result<Self, Rejection> {
+        let Beginning { version, task, options, seed, homing } = episode.beginning;
         if version != env!("CARGO_PKG_VERSION") {
             let allowed = format!("this is release {}", env!("CARGO_PKG_VERSION"));
             return Err(Rejection::new(
@@ -182,7 +182,7 @@ impl LiveReplay {
         }
         let mut env = registry.make(&task, &options)?;
         env.reset(Some(seed));
-        let mut left = course.stretches;
+        let mut left = episode.stretches;
         left.reverse();
         Ok(Self { world: LiveWorld::new(env, homing)?, left, passed: 0, given: 0 })
     }

@@ -12,10 +12,10 @@ use std::time::{Duration, Instant};
 
 use arrayvec::ArrayVec;
 use trocar_proto::control::SessionRequest;
-use trocar_proto::dvrk::course::Beginning;
 use trocar_proto::dvrk::record::{
     AnswerRecord, CommandRecord, EventRecord, Question, QuestionRecord, WorldRecord,
 };
+use trocar_proto::dvrk::recording::Beginning;
 use trocar_proto::dvrk::{
     ArmInfo, Command, Event, LiveInfo, LiveRequest, PoseMessage, State, TICKS_PER_SECOND,
 };

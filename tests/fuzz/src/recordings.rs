@@ -3,8 +3,8 @@
 use std::sync::LazyLock;
 
 use trocar_proto::Options;
-use trocar_proto::dvrk::course::{Beginning, Given, LivePart, Stretch};
 use trocar_proto::dvrk::record::CommandRecord;
+use trocar_proto::dvrk::recording::{Beginning, Given, LivePart, Stretch};
 use trocar_proto::dvrk::{Command, Homing, StateCommand};
 use trocar_proto::part::{self, Kind};
 use trocar_server::Registry;

@@ -64,6 +64,12 @@ def arguments() -> argparse.Namespace:
         help="whether arms move when they are homed (%(default)s)",
     )
     parser.add_argument(
+        "--world",
+        type=int,
+        metavar="SESSION",
+        help="share the world of this session, as `trocar status` numbers them",
+    )
+    parser.add_argument(
         "--frames",
         choices=["rcm", "world"],
         default="rcm",
@@ -96,6 +102,7 @@ def main() -> None:
             seed=given.seed,
             speed=given.speed,
             homing=given.homing,
+            world=given.world,
             in_world=given.frames == "world",
             complain=complain,
         )

@@ -68,6 +68,8 @@ class World:
         speed: How many times as fast as life; ``None`` for lock-step.
         options: Options of the task.
         homing: ``to_zero`` or ``in_place``.
+        world: Number of the session whose world is shared; task, options and speed must be its own.
+            Another script drives the arms that it commanded first.
         in_world: Whether the arms' poses are in the frame of the world, and not of their remote
             centres.
         complain: What is told of warnings and errors of arms: the arm, and the words.
@@ -83,12 +85,13 @@ class World:
         speed: float | None = None,
         options: Mapping[str, Any] | None = None,
         homing: str = "to_zero",
+        world: int | None = None,
         in_world: bool = False,
         complain: Callable[[str, str], object] | None = None,
         view: Mapping[str, Any] | None = None,
     ) -> None:
         self.live: _trocar.LiveWorld = connect(server).open_live(
-            task, seed=seed, options=options, homing=homing, speed=speed, view=view
+            task, seed=seed, options=options, homing=homing, speed=speed, world=world, view=view
         )
         self.feeds = {name: Feed() for name in self.live.arms}
         self.objects = {name.replace(" ", "_"): name for name in self.live.objects}
