@@ -204,6 +204,12 @@ impl Client {
         self.link.get()?.viewer()
     }
 
+    /// Where the viewer's page is that may drive the arms of live worlds: an address with a token, to be kept to oneself.
+    pub fn driving_page(&self) -> Result<String, CallError> {
+        let link = self.link.get()?;
+        Ok(format!("http://{}/#token={}", link.viewer()?, link.drive_token()?))
+    }
+
     /// Ends the server, for all of its clients.
     pub fn shut_down(&self) -> Result<(), CallError> {
         self.link.get()?.shutdown()

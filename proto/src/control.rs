@@ -143,6 +143,8 @@ control_messages! {
     /// Asks where the live viewer is, whose page is served over HTTP; where there is none, one is started at a free port
     /// of 127.0.0.1.
     23 Viewer: viewer -> SocketAddr, "the viewer's address";
+    /// Asks for the token with which the viewer's page drives arms of live worlds.
+    26 DriveToken: drive_token -> String, "the token of the viewer's page";
     /// Asks what one client may have of the server.
     25 Limits: limits -> ClientLimits, "the limits of a client";
 }

@@ -20,6 +20,7 @@ mod bench;
 mod clean;
 mod demo;
 mod demos;
+mod drive;
 mod exit;
 mod inherited;
 mod learn;
@@ -103,6 +104,8 @@ enum Command {
     Rollout(rollout::Rollout),
     /// Draw rollouts: a contact sheet, a moving picture, or one picture of each task
     Render(render::Render),
+    /// Drive the arms of a task by keyboard or gamepad, in the browser
+    Drive(drive::Drive),
     /// Record episodes, of a policy or of a session of a server, to play them again
     Record(record::Record),
     /// Play a recording again, compare its bits, draw it
@@ -143,6 +146,7 @@ fn run(command: Command) -> anyhow::Result<()> {
         Command::Learn(learn) => learn.run(),
         Command::Rollout(rollout) => rollout.run(),
         Command::Render(render) => render.run(),
+        Command::Drive(drive) => drive.run(),
         Command::Record(record) => record.run(),
         Command::Replay(replay) => replay.run(),
         Command::Demos(demos) => demos.run(),

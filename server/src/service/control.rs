@@ -2,7 +2,8 @@
 
 use std::collections::BTreeMap;
 use std::collections::btree_map::Entry;
-use std::io;
+use std::fs::File;
+use std::io::{self, Read};
 use std::net::{Ipv4Addr, SocketAddr};
 use std::sync::Arc;
 use std::thread::JoinHandle;
@@ -63,7 +64,7 @@ pub(super) fn run(
     });
     let exporter = exporter.transpose()?;
     let admission = Admission::new(Arc::clone(&registry), config, epoch);
-    let watch = Arc::new(WatchRegistry::new(about(&admission)));
+    let watch = Arc::new(WatchRegistry::new(about(&admission), token()));
     let view = config.view.map(|address| {
         View::start(address, Arc::clone(&watch) as _)
             .map_err(|source| ServeError::View { address, source })
@@ -131,6 +132,17 @@ pub(super) fn run(
     }
     hosted.drain(&ports, config.drain_limit);
     Ok(())
+}
+
+/// A text that cannot be guessed, of 128 random bits; empty, which is no token, where the system gives none.
+fn token() -> String {
+    let mut bytes = [0; 16];
+    let read = File::open("/dev/urandom").and_then(|mut file| file.read_exact(&mut bytes));
+    if let Err(error) = read {
+        tracing::warn!(%error, "no random numbers: no page can drive arms");
+        return String::new();
+    }
+    format!("{:032x}", u128::from_ne_bytes(bytes))
 }
 
 /// The server, as its viewer names it.
@@ -504,6 +516,10 @@ impl ControlHandler for SessionRegistry {
             memory_bytes: limit(memory_bytes),
             threads: limit(threads as u64),
         })
+    }
+
+    fn drive_token(&mut self) -> Result<String, Unanswered> {
+        Ok(self.context.watch.token().to_string())
     }
 
     fn viewer(&mut self) -> Result<SocketAddr, Unanswered> {

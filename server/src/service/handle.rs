@@ -74,7 +74,7 @@ impl Shared {
 
     /// The session in the viewer's list.
     pub(super) fn card(&self) -> SessionCard {
-        let nature = self.nature.get();
+        let (nature, world) = (self.nature.get(), self.world.get());
         let pace = self.pace.lock().unwrap_or_else(PoisonError::into_inner);
         let success_rate = pace.tally.success_rate();
         SessionCard {
@@ -83,6 +83,8 @@ impl Shared {
             language: self.client.language.clone(),
             task: self.task.clone(),
             envs: self.envs,
+            arms: world.map_or_else(Vec::new, |world| world.arm_names()),
+            speed: world.and_then(|world| world.info().speed),
             max_steps: nature.map_or(0, |nature| nature.max_steps),
             seconds_per_step: nature.map_or(0.0, |nature| nature.seconds_per_step),
             steps_per_second: pace.steps_per_second(),

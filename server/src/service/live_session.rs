@@ -169,7 +169,7 @@ impl LiveSession {
     }
 
     fn driver(&self) -> Driver {
-        Driver { session: self.shared.id, pid: self.shared.client.pid }
+        Driver::Session { session: self.shared.id, pid: self.shared.client.pid }
     }
 
     /// Draws the world as it is: colours, or depth.

@@ -11,13 +11,15 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
 use arrayvec::ArrayVec;
+use nalgebra::Vector3;
 use trocar_proto::control::SessionRequest;
 use trocar_proto::dvrk::record::{
     AnswerRecord, CommandRecord, EventRecord, Question, QuestionRecord, WorldRecord,
 };
 use trocar_proto::dvrk::recording::Beginning;
 use trocar_proto::dvrk::{
-    ArmInfo, Command, Event, LiveInfo, LiveRequest, PoseMessage, State, TICKS_PER_SECOND,
+    ArmInfo, Command, Event, LiveInfo, LiveRequest, PoseMessage, State, StateCommand,
+    TICKS_PER_SECOND,
 };
 use trocar_proto::wire::{LiveReplyLayout, MAX_EVENTS};
 use trocar_proto::{Code, Rejection};
@@ -29,6 +31,7 @@ use crate::error::StepError;
 use crate::recording::live::LiveLog;
 use crate::registry::Registry;
 use crate::sim::motion::MAX_INSTRUMENTS;
+use crate::view::source::Motion;
 
 /// Events that are kept for sessions that have not fetched them yet.
 const MOST_EVENTS: usize = 4096;
@@ -78,21 +81,34 @@ struct WorldState {
     over: Option<Rejection>,
 }
 
-/// A session that drives an arm.
+/// What drives an arm.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) struct Driver {
-    pub(super) session: u64,
-    /// The client's process.
-    pub(super) pid: u32,
+pub(super) enum Driver {
+    /// A session, of this process.
+    Session { session: u64, pid: u32 },
+    /// A page of the viewer.
+    Page(u64),
 }
 
 impl Driver {
+    /// Its process; of a page, the server.
+    fn pid(self) -> u32 {
+        match self {
+            Self::Session { pid, .. } => pid,
+            Self::Page(_) => std::process::id(),
+        }
+    }
+
     /// The refusal of what another session asks of its arm.
     fn refusal(&self, arm: &str) -> Rejection {
-        let allowed = format!(
-            "process {} drives it, in session {}; it is free once that session ends",
-            self.pid, self.session
-        );
+        let allowed = match self {
+            Self::Session { session, pid } => format!(
+                "process {pid} drives it, in session {session}; it is free once that session ends"
+            ),
+            Self::Page(_) => {
+                "a page of the viewer drives it; it is free once that page lets go of it".into()
+            }
+        };
         Rejection::new(Code::ArmIsDriven, "arm", arm, allowed)
     }
 }
@@ -351,7 +367,7 @@ impl SharedWorld {
             layout.arms.view_mut(reply, 1).iter_mut().zip(state.world.arms()).zip(&state.drivers)
         {
             *room = arm.record();
-            room.driver = driver.map_or(0, |driver| driver.pid);
+            room.driver = driver.map_or(0, Driver::pid);
         }
         let rooms = layout.objects.view_mut::<f64>(reply, 1).chunks_exact_mut(7);
         for (room, (_, pose)) in rooms.zip(state.world.objects()) {
@@ -418,21 +434,51 @@ impl SharedWorld {
     /// Frees the arms that a session drove, which then hold; with the session that made it, the world ends.
     pub(super) fn leave(&self, session: u64, is_maker: bool) {
         let mut state = self.lock();
-        for place in 0..state.drivers.len() {
-            if state.drivers[place].is_some_and(|driver| driver.session == session) {
-                state.drivers[place] = None;
-                let is = state.world.arms().nth(place).map(ArmController::operating_state);
-                if is.is_some_and(|is| is.state == State::Enabled && is.is_homed) {
-                    let hold = CommandRecord::new(place as u32, &Command::Hold);
-                    state.give(place, &Command::Hold, &hold.expect("it has no numbers"));
-                }
-            }
-        }
-        state.listen();
+        state.free(
+            |driver| matches!(driver, Driver::Session { session: its, .. } if its == session),
+        );
         if is_maker {
             let why = "the session that made it has ended; open another";
             state.over = Some(Rejection::new(Code::UnknownSession, "world", session, why));
         }
+    }
+
+    /// Names of the arms.
+    pub(super) fn arm_names(&self) -> Vec<String> {
+        self.info.arms.iter().map(|arm| arm.name.clone()).collect()
+    }
+
+    /// Has an arm do what a page of the viewer wants.
+    pub(super) fn drive(&self, page: u64, arm: &str, motion: &Motion) -> Result<(), Rejection> {
+        let place = self.info.arm(arm)?;
+        let commands = match motion {
+            Motion::Enable => {
+                vec![Command::State(StateCommand::Enable), Command::State(StateCommand::Home)]
+            }
+            Motion::Twist(twist) => vec![Command::ServoCv(self.in_reference(place, twist))],
+            Motion::Jaw(angle) => vec![Command::JawMoveJp(vec![*angle])],
+            Motion::Hold => vec![Command::Hold],
+        };
+        let records = commands.iter().map(|command| CommandRecord::new(place, command));
+        self.command(Driver::Page(page), &records.collect::<Result<Vec<_>, _>>()?)
+    }
+
+    /// Has the arms hold that a page of the viewer has driven.
+    pub(super) fn let_go(&self, page: u64) {
+        self.lock().free(|driver| driver == Driver::Page(page));
+    }
+
+    /// A twist in the axes of an arm's reference frame, of one in the axes of the world.
+    fn in_reference(&self, place: u32, twist: &[f64; 6]) -> [f64; 6] {
+        let state = self.lock();
+        let arm = state.world.arms().nth(place as usize).expect("its place was looked up");
+        let world_from_base =
+            state.world.world_from_base(arm.name()).expect("the arm is the world's");
+        let reference_from_world = arm.base_frame().rotation * world_from_base.rotation.inverse();
+        let turned =
+            |at: usize| reference_from_world * Vector3::from_column_slice(&twist[at..at + 3]);
+        let [velocity, turn] = [turned(0), turned(3)];
+        [velocity.x, velocity.y, velocity.z, turn.x, turn.y, turn.z]
     }
 
     fn place(&self, arm: u32) -> Result<usize, Rejection> {
@@ -487,6 +533,22 @@ impl WorldState {
             passed.has_told |= self.listen();
         }
         Ok(passed)
+    }
+
+    /// Frees the arms of some drivers, which then hold.
+    fn free(&mut self, is_one: impl Fn(Driver) -> bool) {
+        for place in 0..self.drivers.len() {
+            if self.drivers[place].is_none_or(|driver| !is_one(driver)) {
+                continue;
+            }
+            self.drivers[place] = None;
+            let is = self.world.arms().nth(place).map(ArmController::operating_state);
+            if is.is_some_and(|is| is.state == State::Enabled && is.is_homed) {
+                let hold = CommandRecord::new(place as u32, &Command::Hold);
+                self.give(place, &Command::Hold, &hold.expect("it has no numbers"));
+            }
+        }
+        self.listen();
     }
 
     /// Gives an arm a command.
@@ -546,8 +608,6 @@ fn arm_info(world: &LiveWorld, arm: &ArmController) -> ArmInfo {
 
 #[cfg(test)]
 mod tests {
-    use trocar_proto::dvrk::StateCommand;
-
     use super::*;
 
     #[test]
@@ -560,7 +620,7 @@ mod tests {
         };
         let (one, two) = (new(), new());
         let enable = CommandRecord::new(0, &Command::State(StateCommand::Enable)).unwrap();
-        let driver = Driver { session: 1, pid: 1 };
+        let driver = Driver::Session { session: 1, pid: 1 };
         for (world, is_recorded) in [(&one, true), (&two, false)] {
             world.record();
             world.command(driver, &[enable]).unwrap();

@@ -10,7 +10,7 @@ use trocar_proto::wire::{ReplyLayout, kind};
 
 use super::handle::Shared;
 use crate::env::Env;
-use crate::view::source::{About, FrameChannel, Mark, Moment, Pace, SessionCard, Source};
+use crate::view::source::{About, FrameChannel, Mark, Moment, Pace, SessionCard, Source, Wish};
 
 /// Least time between two moments of the present.
 const PERIOD: Duration = Duration::from_millis(33);
@@ -24,12 +24,20 @@ const MOST_MARKS: usize = 1024;
 /// The sessions of a server, for its viewer.
 pub(super) struct WatchRegistry {
     about: About,
+    /// What pages must know that drive arms.
+    token: String,
     sessions: Mutex<BTreeMap<u64, Arc<Shared>>>,
 }
 
 impl WatchRegistry {
-    pub(super) fn new(about: About) -> Self {
-        Self { about, sessions: Mutex::default() }
+    /// No sessions yet. Pages that drive arms must know `token`.
+    pub(super) fn new(about: About, token: String) -> Self {
+        Self { about, token, sessions: Mutex::default() }
+    }
+
+    /// What pages must know that drive arms.
+    pub(super) fn token(&self) -> &str {
+        &self.token
     }
 
     /// Shows a session until the guard is dropped.
@@ -70,6 +78,32 @@ impl Source for WatchRegistry {
         found.subscriptions().open(env, channel);
         Ok(())
     }
+
+    fn drive(&self, page: u64, wish: &Wish) -> Result<(), String> {
+        if !is_same(wish.token.as_bytes(), self.token.as_bytes()) {
+            return Err(
+                "this page may not drive: open it by the address that `trocar drive` prints".into(),
+            );
+        }
+        let session = self.session(wish.session);
+        let world = session.as_ref().and_then(|session| session.world.get());
+        let no_world = || format!("session {} has no live world", wish.session);
+        let driven = world.ok_or_else(no_world)?.drive(page, &wish.arm, &wish.motion);
+        driven.map_err(|refusal| refusal.to_string())
+    }
+
+    fn let_go(&self, page: u64) {
+        let sessions: Vec<_> = self.lock().values().cloned().collect();
+        for world in sessions.iter().filter_map(|session| session.world.get()) {
+            world.let_go(page);
+        }
+    }
+}
+
+/// Whether two texts are the same and not empty, in a time that does not say where they differ.
+fn is_same(one: &[u8], other: &[u8]) -> bool {
+    let differences = one.iter().zip(other).fold(0, |sum, (one, other)| sum | (one ^ other));
+    !one.is_empty() && one.len() == other.len() && differences == 0
 }
 
 /// A session that can be watched. When it ends, its channels are closed.

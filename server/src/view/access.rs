@@ -100,6 +100,11 @@ impl AllowedHosts {
         Self { local: address.ip().is_loopback() }
     }
 
+    /// Whether only this machine gets here.
+    pub(super) fn is_local(self) -> bool {
+        self.local
+    }
+
     /// Whether a request comes from our own page, or from no page; an error says why not.
     pub(super) fn check(self, headers: &HeaderMap) -> Result<(), &'static str> {
         let text = |name: HeaderName| headers.get(name).and_then(|value| value.to_str().ok());

@@ -2,6 +2,7 @@
 
 use std::convert::Infallible;
 use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
 use axum::extract::ws::{CloseFrame, Message as Frame, WebSocket, close_code};
@@ -25,16 +26,23 @@ const SHARE: u32 = 50;
 /// A page that takes nothing for so long is not there any more.
 const PATIENCE: Duration = Duration::from_secs(30);
 
+/// Numbers of pages, none of which comes twice.
+static NEXT: AtomicU64 = AtomicU64::new(0);
+
 /// Serves a page until it goes or `ending` says that the server does.
 pub(super) async fn serve(
     socket: WebSocket,
     source: Arc<dyn Source>,
     camera: CameraWorker,
+    may_drive: bool,
     mut ending: watch::Receiver<bool>,
 ) {
     let mut list = interval(LIST);
     list.set_missed_tick_behavior(MissedTickBehavior::Delay);
     let mut page = Page {
+        number: NEXT.fetch_add(1, Ordering::Relaxed),
+        may_drive,
+        has_driven: false,
         socket,
         source,
         camera,
@@ -65,6 +73,10 @@ pub(super) async fn serve(
 struct Over(Option<u16>);
 
 struct Page {
+    number: u64,
+    may_drive: bool,
+    /// Whether there may be arms that it drives.
+    has_driven: bool,
     socket: WebSocket,
     source: Arc<dyn Source>,
     camera: CameraWorker,
@@ -72,6 +84,12 @@ struct Page {
     encoder: SceneEncoder,
     watching: Option<Watching>,
     paused: bool,
+}
+
+impl Drop for Page {
+    fn drop(&mut self) {
+        self.let_go();
+    }
 }
 
 /// An environment that is watched. Its channel closes with it.
@@ -158,9 +176,25 @@ impl Page {
                 self.paused = paused;
                 self.ask();
             }
+            Ok(Command::Drive(_)) if !self.may_drive => {
+                return self.refuse("only a viewer at a loopback address lets pages drive").await;
+            }
+            Ok(Command::Drive(wish)) => {
+                self.has_driven = true;
+                if let Err(why) = self.source.drive(self.number, &wish) {
+                    return self.refuse(&why).await;
+                }
+            }
+            Ok(Command::LetGo) => self.let_go(),
             Err(why) => return self.refuse(&why).await,
         }
         Ok(())
+    }
+
+    fn let_go(&mut self) {
+        if std::mem::take(&mut self.has_driven) {
+            self.source.let_go(self.number);
+        }
     }
 
     /// Asks for the next moment or episode.

@@ -18,7 +18,7 @@ use std::sync::Arc;
 use bytemuck::cast_slice;
 use serde::{Deserialize, Serialize};
 
-use super::source::{About, Moment, Pace, SessionCard};
+use super::source::{About, Moment, Pace, SessionCard, Wish};
 use crate::render::mesh::Mesh;
 use crate::render::scene::Instance;
 use crate::render::{Scene, Viewpoint};
@@ -48,7 +48,7 @@ pub const MOST_CONTACTS: usize = 64;
 pub const LONGEST_COMMAND: usize = 512;
 
 /// What the page may ask for.
-#[derive(Debug, Clone, PartialEq, Eq, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Deserialize)]
 #[serde(rename_all = "snake_case", deny_unknown_fields)]
 pub enum Command {
     /// To watch this environment, and no other any more.
@@ -67,6 +67,10 @@ pub enum Command {
     More,
     /// No moments for now (true), or again.
     Pause(bool),
+    /// To drive an arm of a live world.
+    Drive(Wish),
+    /// To drive no arm any more.
+    LetGo,
 }
 
 /// What the server says as text.

@@ -1,4 +1,4 @@
-//! The live viewer: a page over HTTP that shows what is simulated, and changes nothing of it.
+//! The live viewer: a page over HTTP that shows what is simulated. With a token it may drive the arms of live worlds.
 //!
 //! | module | holds |
 //! |---|---|
@@ -168,7 +168,8 @@ async fn live(
     let longest = message::LONGEST_COMMAND;
     let upgrade = upgrade.max_message_size(longest).max_frame_size(longest);
     upgrade.on_upgrade(async move |socket| {
-        connection::serve(socket, shared.source, shared.camera, shared.ending).await;
+        let may_drive = shared.hosts.is_local();
+        connection::serve(socket, shared.source, shared.camera, may_drive, shared.ending).await;
         drop(place);
     })
 }

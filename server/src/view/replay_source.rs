@@ -36,6 +36,8 @@ impl ReplaySource {
                 language: name,
                 task: spec.id.clone(),
                 envs: courses.len() as u32,
+                arms: vec![],
+                speed: None,
                 max_steps: spec.max_steps,
                 seconds_per_step: spec.seconds_per_step,
                 steps_per_second: 0.0,

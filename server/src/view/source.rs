@@ -23,6 +23,45 @@ pub trait Source: Send + Sync + 'static {
     /// Has moments of an environment put into `channel` until that is closed from either side. An error
     /// says why there is nothing to see.
     fn watch(&self, session: u64, env: u32, channel: &Arc<FrameChannel>) -> Result<(), String>;
+
+    /// Has an arm of a live world do what a page wants; an error says why not.
+    fn drive(&self, page: u64, wish: &Wish) -> Result<(), String> {
+        let _ = (page, wish);
+        Err("nothing here can be driven".into())
+    }
+
+    /// Has the arms hold that a page has driven.
+    fn let_go(&self, page: u64) {
+        let _ = page;
+    }
+}
+
+/// What a page wants an arm of a live world to do.
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Wish {
+    /// The session whose world it is.
+    pub session: u64,
+    /// The page's right to drive: part of its address.
+    pub token: String,
+    /// The arm's name.
+    pub arm: String,
+    /// What it is to do.
+    pub motion: Motion,
+}
+
+/// What an arm can be made to do by hand.
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Motion {
+    /// To be given power, and to be homed.
+    Enable,
+    /// To move its end like this for a tenth of a second: m/s and rad/s in the axes of the world.
+    Twist([f64; 6]),
+    /// To open its jaw this far, rad; below 0 it squeezes.
+    Jaw(f64),
+    /// To stay.
+    Hold,
 }
 
 /// A source, as the page names it.
@@ -52,6 +91,10 @@ pub struct SessionCard {
     pub task: String,
     /// Its environments.
     pub envs: u32,
+    /// Names of the arms that can be driven, of a live world.
+    pub arms: Vec<String>,
+    /// How many times as fast as life its live world is; none in lock-step, and where there is no live world.
+    pub speed: Option<f64>,
     /// Steps of an episode at most.
     pub max_steps: u32,
     /// Simulated time of a step, s.

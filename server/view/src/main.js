@@ -1,6 +1,7 @@
 // The page: which session and environment is watched, and all that is shown of it beside the theatre.
 
 import { Chart, short } from "./chart.js";
+import { Drive } from "./drive.js";
 import { Link } from "./link.js";
 import { Player } from "./player.js";
 import { sessionCards } from "./sessions.js";
@@ -97,11 +98,13 @@ const link = new Link({
   },
   gone({ session }) {
     if (session !== watched?.session) return;
+    drive.stop();
     watched = null;
     notify("mild", "The session has ended", "");
     showSessions();
   },
   error({ message }) {
+    drive.stop();
     notify("mild", message, "");
   },
   bye() {},
@@ -114,7 +117,11 @@ const link = new Link({
   },
 });
 
+const drive = new Drive((command) => link.send(command), () => theatre.heading);
+drive.onChange = () => showSessions();
+
 function watch(session, env) {
+  if (session !== watched?.session) drive.stop();
   const card = sessions.find(({ id }) => id === session);
   const isOther = session !== watched?.session;
   if (isOther || env !== watched.env) {
@@ -127,13 +134,15 @@ function watch(session, env) {
     player.stepSeconds = card.seconds_per_step || 0.2;
     // Steps of one environment per second, over those of life.
     const haste = (card.steps_per_second / card.envs) * player.stepSeconds;
-    if (isOther && player === live) player.pace = haste > FAST ? "episodes" : "live";
+    // A live world has one episode, which does not end.
+    if (isOther && player === live) player.pace = haste > FAST && !card.arms.length ? "episodes" : "live";
   }
   player.clear();
   hasPicture = false;
   showEndoscope();
   link.send({ watch: { session, env, pace: player.pace } });
-  history.replaceState(null, "", `#session=${session}&env=${env}`);
+  const token = drive.token ? `token=${drive.token}&` : "";
+  history.replaceState(null, "", `#${token}session=${session}&env=${env}`);
   notify();
   showSessions();
 }
@@ -166,6 +175,10 @@ function showSessions() {
   if (document.activeElement !== element("env")) element("env").value = watched.env;
   element("envs").textContent = `of ${card.envs}`;
   for (const id of ["previous", "next", "env"]) element(id).disabled = card.envs === 1;
+  element("drive").hidden = !drive.offers(card);
+  element("drive").setAttribute("aria-pressed", drive.isOn);
+  element("drive").textContent = drive.isOn ? `Driving ${drive.arm}` : "Drive";
+  document.body.dataset.drives = drive.isOn ? drive.arm : "";
   press("pace", "pace", player.pace);
   element("speed").hidden = player.pace === "live";
   element("speed").textContent = `${player.speed}×`.replace("0.25", "¼").replace("0.5", "½");
@@ -279,6 +292,14 @@ const actions = {
       URL.revokeObjectURL(anchor.href);
     });
   },
+  drive() {
+    const card = sessions.find(({ id }) => id === watched?.session);
+    if (drive.isOn) drive.stop();
+    else if (drive.offers(card)) {
+      notify();
+      drive.start(card);
+    }
+  },
   help() {
     element("help").showModal();
   },
@@ -302,18 +323,30 @@ const KEYS = {
   c: actions.contacts,
   e: actions.endoscope,
   s: actions.save,
+  g: actions.drive,
   "?": actions.help,
 };
 
 addEventListener("keydown", (event) => {
   const isTyping = event.target instanceof HTMLInputElement && event.target.type !== "range";
   if (isTyping || event.ctrlKey || event.metaKey || event.altKey || element("help").open) return;
+  if (drive.isOn && drive.key(event, true)) {
+    event.preventDefault();
+    return;
+  }
   const act = KEYS[event.key.length === 1 ? event.key.toLowerCase() : event.key];
   if (!act) return;
   event.preventDefault();
   act();
 });
 
+addEventListener("keyup", (event) => drive.isOn && drive.key(event, false));
+addEventListener("blur", () => drive.release());
+
+element("drive").onclick = ({ target }) => {
+  actions.drive();
+  target.blur();
+};
 element("pause").onclick = actions.pause;
 element("rewind").onclick = () => player.seek(0);
 element("slider").oninput = ({ target }) => {

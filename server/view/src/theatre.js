@@ -188,6 +188,14 @@ export class Theatre {
     return this.#contacts.group.visible;
   }
 
+  /** The direction in which the viewer looks, rad about the vertical from x towards y. */
+  get heading() {
+    const ahead = new Vector3(0, 0, -1).applyQuaternion(this.camera.quaternion);
+    // Straight down, what is up in the picture is ahead.
+    if (Math.hypot(ahead.x, ahead.y) < 0.1) ahead.set(0, 1, 0).applyQuaternion(this.camera.quaternion);
+    return Math.atan2(ahead.y, ahead.x);
+  }
+
   /** The first view: of the jaws at work, where there are any. */
   #open() {
     if (this.#jaws().length > 0) this.closeUp();

@@ -7,6 +7,7 @@ from 4: https://chromedevtools.github.io/devtools-protocol/.
 from __future__ import annotations
 
 import base64
+import contextlib
 import json
 import os
 import select
@@ -16,7 +17,7 @@ import subprocess
 import tempfile
 import time
 import zlib
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -210,10 +211,23 @@ class Chromium:
             self.call("Input.dispatchMouseEvent", type=kind, button="left", clickCount=1, **at)
 
     def press(self, key: str) -> None:
+        """Presses a key and lets it go."""
+        self.hold(key)
+        self.call("Input.dispatchKeyEvent", type="keyUp", key=key)
+
+    @contextlib.contextmanager
+    def holding(self, key: str) -> Iterator[None]:
+        """Holds a key down."""
+        self.hold(key)
+        try:
+            yield
+        finally:
+            self.call("Input.dispatchKeyEvent", type="keyUp", key=key)
+
+    def hold(self, key: str) -> None:
         """Presses a key."""
         text = {"text": key} if len(key) == 1 else {}
         self.call("Input.dispatchKeyEvent", type="keyDown", key=key, **text)
-        self.call("Input.dispatchKeyEvent", type="keyUp", key=key)
 
     def resize(self, width: int, height: int) -> None:
         """Gives the page another size, px."""
