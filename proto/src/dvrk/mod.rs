@@ -5,6 +5,7 @@
 //! | [`command`] | what a client may ask of an arm |
 //! | [`state`] | operating states, and the commands that each takes |
 //! | [`report`] | what arms tell: states, ends of moves, warnings, errors |
+//! | [`topics`] | the list of all topics, from which interfaces to clients are made |
 //! | [`live`] | how a session with a live world is opened |
 //! | [`record`] | all of that as fixed-size records in shared memory |
 //! | [`recording`] | what led to a world's state, as bytes: recordings |
@@ -17,6 +18,7 @@ pub mod record;
 pub mod recording;
 pub mod report;
 pub mod state;
+pub mod topics;
 
 pub use command::{Command, Effort, PoseMessage, StateCommand};
 pub use live::{ArmInfo, Homing, LiveInfo, LiveRequest};

@@ -7,6 +7,7 @@
 //! | `learn.rs` | trains a policy, in Python |
 //! | `render.rs` | pictures of rollouts: contact sheets, moving pictures |
 //! | `record.rs`, `replay.rs` | episodes as files, from which they are played again |
+//! | `dvrk.rs` | the program of its own that is a node of ROS 2 |
 //! | `demos.rs` | scripted experts as data sets |
 //! | `demo.rs` | a moving picture; one server and three clients in two languages at once |
 //! | `load.rs` | many clients at once that are killed and stopped, each compared with a twin |
@@ -21,6 +22,7 @@ mod clean;
 mod demo;
 mod demos;
 mod drive;
+mod dvrk;
 mod exit;
 mod inherited;
 mod learn;
@@ -67,6 +69,7 @@ A first session:
   trocar rollout --task all --server lab         the same episodes, in that server
   trocar record --task NeedlePick-v0 --out pick.trocar   an episode, for `trocar replay pick.trocar`
   trocar demos --task NeedlePick-v0 --out data   its scripted expert as a Minari data set
+  trocar dvrk --task NeedlePick-v0               a da Vinci Research Kit on ROS 2, for its owners' scripts
   trocar bench --quick                           how fast this machine is
   trocar load --kill-every 2 --stop-every 5      what many clients, some of them killed, do to it
   trocar status --name lab --watch               its clients, and how fast it runs
@@ -112,6 +115,8 @@ enum Command {
     Replay(replay::Replay),
     /// Record a scripted expert as a data set (Minari, LeRobot)
     Demos(demos::Demos),
+    /// Be a da Vinci Research Kit on ROS 2, whose arms move in the world of a task
+    Dvrk(dvrk::Dvrk),
     /// Measure environment steps per second, in this process and through a server
     Bench(bench::Bench),
     /// Load a server with many clients, kill and stop some, and compare every bit
@@ -150,6 +155,7 @@ fn run(command: Command) -> anyhow::Result<()> {
         Command::Record(record) => record.run(),
         Command::Replay(replay) => replay.run(),
         Command::Demos(demos) => demos.run(),
+        Command::Dvrk(dvrk) => dvrk.run(),
         Command::Bench(bench) => bench.run(),
         Command::Load(load) => load.run(),
         Command::LoadClient(client) => client.run(),

@@ -70,7 +70,6 @@ pub mod mechanism;
 pub mod planner;
 #[cfg(test)]
 mod tests;
-pub mod topics;
 
 pub use arm::{ArmController, JointState, SetPoint, VELOCITY_SECONDS};
 pub use command::{Command, Effort, PoseMessage, StateCommand};
@@ -78,7 +77,7 @@ pub use drivetrain::Drivetrain;
 pub use event::{Error, Event, NotReady, Stamp, Warning, What};
 pub use mechanism::{Mechanism, NoSolution, Pose};
 pub use state::{OperatingState, State};
-pub use trocar_proto::dvrk::{Homing, command, state};
+pub use trocar_proto::dvrk::{Homing, command, state, topics};
 
 /// Ticks in a second: a tick is a substep of the simulation.
 pub const TICKS_PER_SECOND: u64 = SUBSTEPS_PER_SECOND as u64;

@@ -1,4 +1,4 @@
-//! All topics and services of an arm: the one list from which interfaces to clients are made.
+//! All topics and services of arms, console and system: the lists from which interfaces to clients are made.
 //!
 //! Names are below the arm's own, as `PSM1/measured_js`. A client of dVRK (`crtk.ral.check_connections`) waits until
 //! all topics of its class have a peer. So an interface subscribes also what its arm ignores.
@@ -40,12 +40,12 @@ pub enum Need {
     Crtk,
 }
 
-/// A topic or service of an arm.
+/// A topic or service.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Topic {
-    /// Its name below the arm's.
+    /// Its name below the arm's, `system` or `console`.
     pub name: &'static str,
-    /// The type of its messages, `package/Type`; empty where that of dVRK was not found out.
+    /// The type of its messages, `package/Type`; empty where that of dVRK was not found out, and so nothing is offered.
     pub message: &'static str,
     /// Which way messages go.
     pub direction: Direction,
@@ -76,6 +76,17 @@ const POSE: &str = "geometry_msgs/PoseStamped";
 const TWIST: &str = "geometry_msgs/TwistStamped";
 const WRENCH: &str = "geometry_msgs/WrenchStamped";
 const WORD: &str = "crtk_msgs/StringStamped";
+
+impl Topic {
+    /// Whether an arm has it: one with a jaw is a PSM.
+    pub fn is_of(&self, has_jaw: bool) -> bool {
+        match self.arms {
+            All => true,
+            Psm => has_jaw,
+            Ecm => !has_jaw,
+        }
+    }
+}
 
 /// All topics and services of the arms.
 pub const TOPICS: &[Topic] = &[
@@ -135,7 +146,7 @@ pub const TOPICS: &[Topic] = &[
     topic("measured_cs", "crtk_msgs/CartesianState", Publishes, All, Optional),
     topic("local/measured_cv", TWIST, Publishes, All, Optional),
     topic("setpoint_cv", TWIST, Publishes, All, Optional),
-    topic("period_statistics", "", Publishes, All, Optional),
+    topic("period_statistics", "cisst_msgs/IntervalStatistics", Publishes, All, Optional),
     topic("tool_type", STRING, Publishes, Psm, Optional),
     topic("tool_type_request", STRING, Publishes, Psm, Optional),
     topic("arm_clutch", BUTTON, Publishes, All, Optional),
@@ -152,4 +163,33 @@ pub const TOPICS: &[Topic] = &[
     topic("operating_state", "crtk_msgs/TriggerOperatingState", Serves, All, Optional),
     topic("crtk_version", "", Serves, All, Optional),
     topic("actuator_to_joint_position", "cisst_msgs/ConvertFloat64Array", Serves, All, Optional),
+];
+
+/// The topics below `system`, which has the power of all arms.
+pub const SYSTEM: &[Topic] = &[
+    topic("power_on", EMPTY, Subscribes, All, Required),
+    topic("power_off", EMPTY, Subscribes, All, Required),
+    topic("home", EMPTY, Subscribes, All, Required),
+    topic("set_volume", FLOAT, Subscribes, All, Required),
+    topic("beep", MATRIX, Subscribes, All, Required),
+    topic("string_to_speech", STRING, Subscribes, All, Required),
+    topic("volume", FLOAT, Publishes, All, Required),
+];
+
+/// The topics below `console`, which has the pedals and pairs arms with masters.
+pub const CONSOLE: &[Topic] = &[
+    topic("teleop/enable", BOOL, Subscribes, All, Required),
+    topic("teleop/set_scale", FLOAT, Subscribes, All, Required),
+    topic("teleop/select", STRING, Subscribes, All, Required),
+    topic("teleop/unselect", STRING, Subscribes, All, Required),
+    topic("emulate_operator_present", BUTTON, Subscribes, All, Optional),
+    topic("emulate_clutch", BUTTON, Subscribes, All, Optional),
+    topic("emulate_camera", BUTTON, Subscribes, All, Optional),
+    topic("teleop/enabled", BOOL, Publishes, All, Required),
+    topic("teleop/scale", FLOAT, Publishes, All, Required),
+    topic("teleop/selected", STRING, Publishes, All, Required),
+    topic("teleop/unselected", STRING, Publishes, All, Required),
+    topic("operator_present", BUTTON, Publishes, All, Optional),
+    topic("clutch", BUTTON, Publishes, All, Optional),
+    topic("camera", BUTTON, Publishes, All, Optional),
 ];
