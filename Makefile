@@ -189,7 +189,7 @@ test-browser: lint-viewer $(VENV)/ready ## * the live viewer in a headless Chrom
 
 # In a network of its own, where nothing else is found and nothing gets out.
 .PHONY: test-ros2
-test-ros2: ## * `trocar dvrk` against rclpy over ROS 2; Python 3.11, C++, unshare, 400 MB of wheels: else it says what is missing
+test-ros2: ## * `trocar dvrk` against rclpy over ROS 2; needs Python 3.11, C++, unshare, ip; 400 MB of packages
 	PYTHON=$(PYTHON) TARGET=$(TARGET) CARGO="$(CARGO)" FEATURES="$(RUST_AND_ROS2)" tests/ros2/run
 
 .PHONY: test-rl

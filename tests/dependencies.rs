@@ -31,8 +31,15 @@ fn assert_free_of(package: &str, forbidden: &[&str]) {
 
 #[test]
 fn clients_never_link_the_engine() {
-    for client in ["trocar-client", "trocar-py"] {
+    for client in ["trocar-client", "trocar-py", "trocar-ros2"] {
         assert_free_of(client, &["rapier3d", "parry3d", "trocar-server", "trocar"]);
+    }
+}
+
+#[test]
+fn only_the_node_of_ros_2_brings_what_it_needs() {
+    for program in ["trocar", "trocar-client", "trocar-py", "trocar-tests"] {
+        assert_free_of(program, &["trocar-ros2", "ros2-client", "rustdds"]);
     }
 }
 

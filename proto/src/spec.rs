@@ -133,6 +133,9 @@ impl ImageSpec {
     }
 }
 
+/// Distance between both lenses of the endoscope, m; their axes are parallel.
+pub const STEREO_BASELINE: f64 = 4.2e-3;
+
 /// A kind of picture.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub enum ImageKind {

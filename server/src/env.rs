@@ -112,6 +112,8 @@ pub struct Env {
     actuation: Actuation,
     /// Whether the arms were driven from outside in this episode: then no actions lead to its state.
     is_driven: bool,
+    /// Joints of the endoscope's arm beside PSMs where a live world moves it, rad; index 2 in m.
+    endoscope_joints: Option<[f64; 4]>,
     /// Actions on their way, the oldest first.
     delayed: Vec<f32>,
     command: Vec<f32>,
@@ -248,6 +250,7 @@ impl Env {
             latency: 0,
             actuation: Actuation::none(),
             is_driven: false,
+            endoscope_joints: None,
             delayed: vec![],
             command: vec![0.0; action],
             taken: vec![],
@@ -274,6 +277,7 @@ impl Env {
     /// What there is to see now.
     pub fn scene(&self) -> Scene {
         let mut scene = Scene::default();
+        scene.endoscope_joints = self.endoscope_joints;
         self.task.scene(&self.world, &mut scene);
         scene.add_others(&self.world);
         scene
@@ -359,6 +363,7 @@ impl Env {
         self.noise = Noise { sigma: self.domain.observation_noise.draw(&mut rng), rng };
         self.actuation = Actuation::draw(&self.domain, self.seed, self.episode);
         self.is_driven = false;
+        self.endoscope_joints = None;
         self.delayed.clear();
         self.delayed.reserve((self.latency.div_ceil(self.substeps) as usize + 1) * dim);
     }

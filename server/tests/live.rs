@@ -330,10 +330,35 @@ fn a_jump_that_an_arm_does_not_follow_faults_it() {
 }
 
 #[test]
+fn the_endoscope_beside_instruments_holds_the_camera_and_touches_nothing() {
+    let camera = |script: &Script| script.world.env().scene().endoscope.unwrap();
+    let env = make("NeedlePick-v0", 0, Homing::ToZero).into_env();
+    let mut script = Script::new(make("NeedlePick-v0", 0, Homing::ToZero));
+    let mut twin = Script::new(make("NeedlePick-v0", 0, Homing::ToZero));
+    let began = camera(&script);
+    assert!(!began.is_fixed, "it may move");
+    script.enable_and_home("ECM");
+    twin.run(script.wait("ECM", &Command::MoveJp(vec![0.1, 0.2, 0.1, 0.3])) + 10.0);
+    let goal = script.world.arm("ECM").unwrap().measured_js().position;
+    assert_eq!(goal[..], [0.1, 0.2, 0.1, 0.3]);
+    let off = began.world_from_camera.inv_mul(&camera(&script).world_from_camera);
+    assert!(off.translation.vector.norm() > 0.03 && off.rotation.angle() > 0.3, "{off}");
+    // The same world but for the time.
+    let objects = |script: &Script| script.world.objects().map(|(_, at)| at).collect::<Vec<_>>();
+    assert_eq!(objects(&script), objects(&twin));
+    // Out of the controllers' hands, it is back at the next reset.
+    let mut again = script.world.into_env();
+    again.reset(Some(0));
+    let camera_of = |env: &Env| env.scene().endoscope.unwrap().world_from_camera;
+    assert_eq!(camera_of(&again), began.world_from_camera);
+    assert!(again.scene().endoscope.unwrap().is_fixed && camera_of(&env) == camera_of(&again));
+}
+
+#[test]
 fn both_arms_of_a_task_move_at_the_same_time() {
     let mut script = Script::new(make("BiPegTransfer-v0", 0, Homing::ToZero));
     let names: Vec<_> = script.world.arms().map(ArmController::name).collect();
-    assert_eq!(names, ["PSM1", "PSM2"]);
+    assert_eq!(names, ["PSM1", "PSM2", "ECM"]);
     for arm in ["PSM1", "PSM2"] {
         script.send(arm, &Command::State(StateCommand::Enable));
         script.send(arm, &Command::State(StateCommand::Home));

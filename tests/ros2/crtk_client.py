@@ -80,8 +80,13 @@ class Ros:
         self.changed = threading.Condition()
         self._executor = SingleThreadedExecutor(context=self.context)
         self._executor.add_node(self.node)
-        self._thread = threading.Thread(target=self._executor.spin, daemon=True)
+        self._is_closing = False
+        self._thread = threading.Thread(target=self._spin, daemon=True)
         self._thread.start()
+
+    def _spin(self) -> None:
+        while not self._is_closing:
+            self._executor.spin_once(timeout_sec=0.1)
 
     def until(self, holds: Callable[[], Any], timeout: float) -> bool:
         """Waits until something holds that messages change; whether it does."""
@@ -97,8 +102,9 @@ class Ros:
         return future.result()
 
     def close(self) -> None:
-        self._executor.shutdown()
+        self._is_closing = True
         self._thread.join()
+        self._executor.shutdown()
         self.node.destroy_node()
         rclpy.shutdown(context=self.context)
 

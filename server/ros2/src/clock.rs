@@ -3,7 +3,7 @@
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 /// For how long the least delay is remembered, twice that at most.
-const WINDOW: Duration = Duration::from_secs(1);
+const SPAN: Duration = Duration::from_secs(1);
 
 /// Tells when something was, of whose time in the world an arm has told.
 ///
@@ -12,7 +12,7 @@ const WINDOW: Duration = Duration::from_secs(1);
 #[derive(Debug)]
 pub(crate) struct WorldClock {
     speed: f64,
-    /// Least difference between both clocks, ns: in this window and in the one before.
+    /// Least difference between both clocks, ns: in this span and in the one before.
     least: [i64; 2],
     since: Instant,
     late: u32,
@@ -32,7 +32,7 @@ impl WorldClock {
     fn see_at(&mut self, stamp: u64, late: u32, system: i64, now: Instant) {
         if late != self.late {
             (self.late, self.least, self.since) = (late, [i64::MAX; 2], now);
-        } else if now - self.since > WINDOW {
+        } else if now - self.since > SPAN {
             (self.least, self.since) = ([i64::MAX, self.least[0]], now);
         }
         self.least[0] = self.least[0].min(system - self.scaled(stamp));
@@ -67,12 +67,12 @@ mod tests {
         clock.see_at(200, 0, 1105, at);
         assert_eq!((clock.system(100), clock.system(200)), (1055, 1105));
         // What is slow for long is so: the delays before are forgotten.
-        clock.see_at(300, 0, 1200, at + 2 * WINDOW);
+        clock.see_at(300, 0, 1200, at + 2 * SPAN);
         assert_eq!(clock.system(300), 1155);
-        clock.see_at(400, 0, 1250, at + 4 * WINDOW);
+        clock.see_at(400, 0, 1250, at + 4 * SPAN);
         assert_eq!(clock.system(400), 1250);
         // Time that the world leaves out is not made up for.
-        clock.see_at(500, 3, 9000, at + 4 * WINDOW);
+        clock.see_at(500, 3, 9000, at + 4 * SPAN);
         assert_eq!(clock.system(500), 9000);
     }
 }

@@ -1,18 +1,18 @@
-//! A live world's arms and objects on ROS 2.
+//! A live world on ROS 2: looks at it, gives commands, publishes.
 
 use std::time::{Duration, Instant};
 
 use anyhow::Context as _;
-use ros2_client::Publisher;
 use trocar_client::proto::dvrk::record::Question;
 use trocar_client::proto::dvrk::{Command, State, StateCommand, TICKS_PER_SECOND};
 use trocar_client::{CallError, LiveWorld};
 
 use crate::arm::Arm;
-use crate::bus::{Bus, Keeps, publish};
+use crate::bus::Bus;
 use crate::clock::{self, WorldClock};
 use crate::console::{Console, System};
-use crate::messages::{Content, Header, OperatingState, PoseStamped, Stamp};
+use crate::messages::{Content, OperatingState, Stamp};
+use crate::truth::Truth;
 
 /// How long after a tick it is looked for.
 const AFTER_TICK: Duration = Duration::from_micros(200);
@@ -24,7 +24,7 @@ const PAUSES: [Duration; 2] = [Duration::from_micros(500), Duration::from_millis
 pub(crate) struct Dvrk {
     world: LiveWorld,
     arms: Vec<Arm>,
-    objects: Vec<Object>,
+    truth: Truth,
     pub(crate) console: Console,
     pub(crate) system: System,
     clock: WorldClock,
@@ -36,14 +36,6 @@ pub(crate) struct Dvrk {
     /// Time between two publications of states.
     period: Duration,
     next_state: Instant,
-}
-
-/// An object of the world.
-struct Object {
-    /// Its name in the world.
-    name: String,
-    topic: String,
-    to: Publisher<PoseStamped>,
 }
 
 impl Dvrk {
@@ -59,13 +51,8 @@ impl Dvrk {
         let arms = live.arms.iter().enumerate();
         let arms = arms.map(|(place, info)| Arm::new(bus, place, info, status));
         let arms = arms.collect::<anyhow::Result<Vec<_>>>()?;
-        let objects = live.objects.iter().map(|name| {
-            let topic = format!("/{}/measured_cp", name.replace(' ', "_"));
-            let to = bus.publisher(&topic, Keeps::Nothing)?;
-            Ok(Object { name: name.clone(), topic, to })
-        });
         Ok(Self {
-            objects: objects.collect::<anyhow::Result<_>>()?,
+            truth: Truth::new(bus, &world)?,
             console: Console::new(bus)?,
             system: System::new(bus)?,
             arms,
@@ -77,6 +64,16 @@ impl Dvrk {
             next_state: Instant::now(),
             world,
         })
+    }
+
+    /// Has the poses of all arms in the frame of the world, as if they were registered.
+    pub(crate) fn register(&mut self) {
+        let bases = self.world.live().arms.clone().into_iter().map(|arm| arm.world_from_base);
+        for (place, base) in bases.enumerate() {
+            let content =
+                Content { numbers: base.to_vec(), text: "world".into(), ..Content::default() };
+            self.command(place, "set_base_frame", &content);
+        }
     }
 
     /// Gives the command of a topic to the arm at a place, with the next look.
@@ -201,11 +198,7 @@ impl Dvrk {
         for arm in &mut self.arms {
             arm.publish_state(bus, &mut self.world, stamp)?;
         }
-        for object in self.objects.iter().filter(|object| bus.is_listened(&object.topic)) {
-            let header = Header::new(Stamp::of(stamp), "world");
-            let pose = (*self.world.object(&object.name)?).into();
-            publish(&object.to, PoseStamped { header, pose });
-        }
+        self.truth.publish(bus, &self.world, Stamp::of(stamp));
         Ok(())
     }
 

@@ -7,6 +7,8 @@
 //! | `dvrk.rs` | the world: looks at it, gives commands, publishes |
 //! | `arm.rs`, `reading.rs` | the topics of one arm; its state as messages |
 //! | `console.rs` | the topics of console and system |
+//! | `truth.rs` | the topics of objects and of the task |
+//! | `images.rs` | the endoscope's pictures |
 //! | `clock.rs`, `statistics.rs` | the world's time in the system's; how regular publications are |
 
 mod arm;
@@ -14,9 +16,11 @@ mod bus;
 mod clock;
 mod console;
 mod dvrk;
+mod images;
 mod messages;
 mod reading;
 mod statistics;
+mod truth;
 
 use std::net::IpAddr;
 use std::process::ExitCode;
@@ -31,13 +35,14 @@ use trocar_client::{Client, SessionRequest};
 
 use crate::bus::Bus;
 use crate::dvrk::Dvrk;
+use crate::images::Images;
 
 /// A live world as a da Vinci Research Kit on ROS 2: scripts of dVRK 2.4 drive its arms.
 #[derive(Debug, Parser)]
 #[command(name = "trocar dvrk", version)]
 struct Options {
     /// The task whose world it is
-    #[arg(long, default_value = "NeedlePick-v0")]
+    #[arg(long, default_value = "BiPegTransfer-v0")]
     task: String,
     /// Name of a running server (default: a private one)
     #[arg(long)]
@@ -60,6 +65,12 @@ struct Options {
     /// How often states are published, times a second
     #[arg(long, default_value_t = 100.0, value_parser = rate)]
     rate: f64,
+    /// In which frame the poses of arms are
+    #[arg(long, value_enum, default_value_t = Frames::Rcm)]
+    frames: Frames,
+    /// The endoscope's pictures are published, so many times a second (10)
+    #[arg(long, num_args = 0..=1, default_missing_value = "10", value_parser = rate)]
+    images: Option<f64>,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
@@ -72,6 +83,14 @@ enum HomingWord {
     InPlace,
 }
 
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+enum Frames {
+    /// That of each arm's remote centre
+    Rcm,
+    /// That of the world, as if all arms were registered
+    World,
+}
+
 fn rate(text: &str) -> Result<f64, String> {
     let rate = text.parse().map_err(|error| format!("{error}"))?;
     if (1.0..=240.0).contains(&rate) { Ok(rate) } else { Err("allowed is 1 to 240".into()) }
@@ -80,8 +99,8 @@ fn rate(text: &str) -> Result<f64, String> {
 fn main() -> ExitCode {
     let options = Options::parse();
     let filter = EnvFilter::try_from_env("TROCAR_LOG").unwrap_or_else(|_| {
-        // What lies below is loud where a peer goes without a word.
-        EnvFilter::new("info,rustdds=error,ros2_client=error")
+        // What lies below complains where the loopback interface has no multicast, which it does without.
+        EnvFilter::new("info,rustdds=error,rustdds::network=off,ros2_client=error")
     });
     tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr).init();
     match run(&options) {
@@ -108,6 +127,7 @@ fn run(options: &Options) -> anyhow::Result<()> {
     let live = LiveRequest { homing, speed: Some(options.speed), world: None };
     let request = SessionRequest::new(&options.task).seed(options.seed).live(live);
     let world = client.open_live(&request)?;
+    let session = world.info().session;
     let arms: Vec<_> = world.live().arms.iter().map(|arm| arm.name.clone()).collect();
     let status = format!("simulated by Trocar: {}, seed {}", options.task, options.seed);
     let domain = match options.domain {
@@ -120,6 +140,12 @@ fn run(options: &Options) -> anyhow::Result<()> {
     let mut bus = Bus::new(domain, options.interface)?;
     let mut dvrk = Dvrk::new(&mut bus, world, options.rate, &status)?;
     let interface = options.interface;
+    if options.frames == Frames::World {
+        dvrk.register();
+    }
+    let images =
+        options.images.map(|rate| Images::start(&mut bus, &client, &request, session, rate));
+    let _images = images.transpose()?;
     tracing::info!(arms = arms.join(", "), %interface, domain, "ready; Ctrl-C ends it");
     while !stop.load(Ordering::Acquire) {
         let patience = dvrk.patience();

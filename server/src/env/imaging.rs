@@ -142,6 +142,16 @@ impl Imaging {
         Self { renderer: Arc::new(Software::fine()), ..self }
     }
 
+    /// The same of a world whose cameras may have begun to move: the specification has the places of those only that
+    /// stand still in `scene`.
+    pub(crate) fn in_scene(mut self, scene: &Scene) -> Self {
+        let viewpoints = self.eyes.iter().filter_map(|eye| eye.viewpoint(scene));
+        let fixed = viewpoints.filter(|viewpoint| viewpoint.is_fixed);
+        self.spec.camera_from_world =
+            fixed.map(|viewpoint| extrinsics(&viewpoint.world_from_camera)).collect();
+        self
+    }
+
     /// What the pictures are like.
     pub(crate) fn spec(&self) -> &ImageSpec {
         &self.spec

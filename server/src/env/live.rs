@@ -9,6 +9,7 @@ use crate::error::StepError;
 use crate::sim::frames::Pose;
 use crate::sim::instrument::Posture;
 use crate::sim::motion::{Instruments, MAX_INSTRUMENTS, Motion};
+use crate::tasks::theatre;
 
 /// Names of the instrument arms.
 const PSMS: [&str; MAX_INSTRUMENTS] = ["PSM1", "PSM2"];
@@ -16,7 +17,8 @@ const PSMS: [&str; MAX_INSTRUMENTS] = ["PSM1", "PSM2"];
 /// How far from its set-point an arm counts as held up, m: more than it gives way in a substep.
 const HELD_UP: f64 = 0.1e-3;
 
-/// The world of a task whose arms are in the hands of controllers, one for each: `PSM1`, `PSM2`, `ECM`. A tick lets a
+/// The world of a task whose arms are in the hands of controllers, one for each: `PSM1`, `PSM2`, `ECM`. Beside PSMs the ECM
+/// holds the camera, and touches nothing. A tick lets a
 /// substep of 1/240 s pass. What stops a step's motion stops these, too; an arm that is held up goes straight
 /// towards its latest set-point once it may.
 ///
@@ -63,14 +65,23 @@ impl LiveWorld {
                 .with_homing(homing)
         });
         let psms = psms.collect();
+        let beside = arms.first().map(|arm| theatre::endoscope(arm.kinematics().model()));
         let mut world_from_bases: ArrayVec<Pose, { MAX_INSTRUMENTS + 1 }> =
             arms.iter().map(|arm| *arm.scene_from_base()).collect();
         drop(arms);
         world_from_bases.extend(env.task.endoscope().map(|arm| *arm.world_from_rcm()));
-        let ecm = env.task.endoscope().map(|arm| {
-            ArmController::new("ECM", Mechanism::Ecm(*arm.kinematics()), arm.encoders())
-                .with_drivetrain(Drivetrain::new(*arm.offsets()))
+        let ecm = |kinematics, start: &[f64; 4], offsets| {
+            ArmController::new("ECM", Mechanism::Ecm(kinematics), start)
+                .with_drivetrain(Drivetrain::new(offsets))
                 .with_homing(homing)
+        };
+        let own = env.task.endoscope();
+        let own = own.map(|arm| ecm(*arm.kinematics(), arm.encoders(), *arm.offsets()));
+        let ecm = own.or_else(|| {
+            let (kinematics, world_from_rcm) = beside?;
+            world_from_bases.push(world_from_rcm);
+            env.endoscope_joints = Some(theatre::JOINTS);
+            Some(ecm(kinematics, &theatre::JOINTS, [0.0; 4]))
         });
         Ok(Self { env, motion, psms, ecm, world_from_bases, passed: 0 })
     }
@@ -142,9 +153,13 @@ impl LiveWorld {
         let set_points: ArrayVec<SetPoint, MAX_INSTRUMENTS> =
             self.psms.iter_mut().map(ArmController::tick).collect();
         self.follow(&set_points);
-        if let (Some(controller), Some(arm)) = (&mut self.ecm, self.env.task.endoscope()) {
+        if let Some(controller) = &mut self.ecm {
             controller.tick();
-            arm.follow(&first(controller.encoders()));
+            let joints = first(controller.encoders());
+            match self.env.task.endoscope() {
+                Some(arm) => arm.follow(&joints),
+                None => self.env.endoscope_joints = Some(joints),
+            }
         }
         self.env.seen.is_present = false;
         self.passed += 1;

@@ -5,6 +5,7 @@ use std::f64::consts::FRAC_PI_3;
 use std::sync::{Arc, LazyLock};
 
 use nalgebra::{Point3, Vector3};
+use trocar_proto::spec::STEREO_BASELINE;
 
 use super::camera::{self, Camera, Viewpoint};
 use super::material::Material;
@@ -18,7 +19,7 @@ use crate::sim::world::{Motion, World};
 pub type BodyNumber = i32;
 
 /// Half the distance of a stereo endoscope's lenses, m; as in `assets/ecm`.
-const HALF_BASELINE: f64 = 2.1e-3;
+const HALF_BASELINE: f64 = STEREO_BASELINE / 2.0;
 
 /// A mesh at its place.
 #[derive(Debug, Clone)]
@@ -95,6 +96,8 @@ pub struct Scene {
     pub stage: Aabb,
     /// The endoscope's middle between both lenses, where there is an endoscope.
     pub endoscope: Option<Viewpoint>,
+    /// Joints of the endoscope's arm beside PSMs where a live world moves it, rad; index 2 in m.
+    pub endoscope_joints: Option<[f64; 4]>,
     /// From where all is seen.
     pub overview: Viewpoint,
 }
@@ -109,6 +112,7 @@ impl Default for Scene {
             background: [0.72, 0.76, 0.80],
             stage: Aabb::new([-0.5; 3], [0.5; 3]),
             endoscope: None,
+            endoscope_joints: None,
             overview: Viewpoint::towards([1.0, 0.6, 0.8], [0.0; 3], FRAC_PI_3 * 0.75),
         }
     }

@@ -82,7 +82,8 @@ impl LiveSession {
             }
             _ => None,
         };
-        let view = batch_session::view_of(context, wanted)?;
+        let view = batch_session::view_of(context, wanted)?
+            .map(|(imaging, layout)| (imaging.in_scene(&world.with_env(Env::scene)), layout));
         let world = shared.world.get_or_init(|| world);
         let spec = world.with_env(|env| env.spec().clone());
         Ok(Self {

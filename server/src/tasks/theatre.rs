@@ -21,24 +21,31 @@ pub const GOAL_RADIUS: f64 = 2.5e-3;
 const RCM: [f64; 3] = [0.6925, 0.0, 0.8635];
 const PITCH: f64 = std::f64::consts::PI / 6.0;
 
-/// Joints of that arm, rad; index 2 in m: its camera is 160 mm from the middle of the workspace, 40° from the
-/// vertical.
-const JOINTS: [f64; 4] = [0.0, 10.0 * std::f64::consts::PI / 180.0, 0.06, 0.0];
+/// Joints of that arm where nothing moves it, rad; index 2 in m: its camera is 160 mm from the middle of the workspace,
+/// 40° from the vertical.
+pub const JOINTS: [f64; 4] = [0.0, 10.0 * std::f64::consts::PI / 180.0, 0.06, 0.0];
 
 /// Half the distance of the joints between tiles of the floor, m, and half the tiles' number along a side.
 const TILE: f64 = 0.25;
 const TILES: i32 = 6;
 
-/// Draws what is around PSMs of this generation; the endoscope's arm is of the same.
-pub fn draw(scene: &mut Scene, model: ArmModel) {
-    scene.add_floor(0.0);
-    tray::draw_table(scene);
+/// The endoscope's arm beside PSMs of this generation, of the same, and where its remote centre is in the world.
+pub fn endoscope(model: ArmModel) -> (Ecm, Pose) {
     let [x, y, z] = RCM;
     let turn = frames::pose([0.0; 3], [0.0, 0.0, -std::f64::consts::FRAC_PI_2]);
     let world_from_rcm = frames::pose([x, y, z], [0.0, PITCH, 0.0]) * turn;
-    let ecm = Ecm::new(model, Endoscope::Straight);
-    draw_ecm(scene, &ecm, &world_from_rcm, &JOINTS);
-    scene.look_through(&(world_from_rcm * ecm.base_from_camera(&JOINTS)), true);
+    (Ecm::new(model, Endoscope::Straight), world_from_rcm)
+}
+
+/// Draws what is around PSMs of this generation.
+pub fn draw(scene: &mut Scene, model: ArmModel) {
+    scene.add_floor(0.0);
+    tray::draw_table(scene);
+    let (ecm, world_from_rcm) = endoscope(model);
+    let joints = scene.endoscope_joints.unwrap_or(JOINTS);
+    draw_ecm(scene, &ecm, &world_from_rcm, &joints);
+    let is_fixed = scene.endoscope_joints.is_none();
+    scene.look_through(&(world_from_rcm * ecm.base_from_camera(&joints)), is_fixed);
     scene.stage = Aabb::new([0.34, -0.22, 0.67], [0.72, 0.22, 0.80]);
     scene.overview = Viewpoint::towards([1.10, 0.62, 1.12], [0.52, 0.005, 0.785], 0.50);
 }
