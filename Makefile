@@ -240,6 +240,7 @@ fuzz-corpus: ## the same, and keeps in tests/fuzz/corpus the fewest inputs that 
 soak: develop ## * the long bars: 1,000,000 fuzzed messages, long multi-process loops, every failing call; needs strace
 	TROCAR_SOAK=1 TROCAR_BINARY=$(TARGET)/debug/trocar $(CARGO) test $(RUST) -- --nocapture
 	TROCAR_SOAK=1 $(MAKE) test-faults
+	TROCAR_SOAK=1 TIMEOUT=900 $(MAKE) test-ros2
 
 .PHONY: bench
 bench: develop ## * all steps per second (trocar bench); criterion: kinematics, steps, snapshots, a round trip

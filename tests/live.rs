@@ -337,7 +337,7 @@ fn bad_input_is_refused_by_name_and_moves_nothing() {
         assert_eq!(script.arm("PSM1").measured_position, still);
     }
     let refusal = refused(script.world.command("PSM7", &Command::Hold));
-    assert_eq!(refusal.to_string(), "arm = \"PSM7\": this world has PSM1");
+    assert_eq!(refusal.to_string(), "arm = \"PSM7\": this world has PSM1, ECM");
     let refusal = refused(script.world.command("PSM1", &Command::MoveJp(vec![0.0; 1000])));
     assert_eq!(refusal.to_string(), "move_jp = 1000 numbers: at most 24");
     for (request, field) in [

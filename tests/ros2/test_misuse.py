@@ -58,6 +58,14 @@ def test_b5_a_pose_out_of_reach_moves_a_psm_to_clipped_joints(homed: Arm) -> Non
     assert homed.told["goal_reached"] == [True]
 
 
+def test_b6_a_jump_that_the_arm_does_not_follow_is_a_fault(homed: Arm) -> None:
+    homed.servo_jp([60 * DEGREE, *ZERO[1:]])
+    assert homed.ros.until(lambda: homed.state.state == "FAULT", 5.0)
+    assert homed.ros.until(lambda: homed.told["error"], 5.0)
+    assert "tracking error" in homed.told["error"][0]
+    assert homed.enable(5)
+
+
 def test_b7_disabling_during_a_move_stops_it(homed: Arm) -> None:
     assert homed.move_jp([60 * DEGREE, *ZERO[1:]]).wait(is_busy=True)
     time.sleep(0.2)

@@ -225,10 +225,10 @@ def test_a12_a_servoed_jaw_is_followed_and_moves_on(homed: Arm) -> None:
         homed.joints("jaw/servo_jp", [angle])
         seen.append(homed.read("jaw/setpoint_js").position[0])
 
-    stream(step)
+    stream(step, 2.5)
     assert max(seen) > 78 * DEGREE
     assert min(seen) < 22 * DEGREE
-    timed(lambda: homed.jaw(60 * DEGREE).wait(), 0.2)
+    timed(lambda: homed.jaw(60 * DEGREE).wait(), 0.1)
     timed(lambda: homed.jaw(-20 * DEGREE).wait(), 0.667)
 
 

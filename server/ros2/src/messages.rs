@@ -216,3 +216,79 @@ commanding! {
     CartesianServo: |_, _| Content::default();
     CartesianImpedance: |_, _| Content::default();
 }
+
+#[cfg(test)]
+mod tests {
+    use rustdds::serialization::{RepresentationIdentifier, deserialize_from_cdr_with_rep_id};
+
+    use super::*;
+
+    /// Numbers that look random (SplitMix64).
+    struct Random(u64);
+
+    impl Random {
+        fn below(&mut self, end: usize) -> usize {
+            self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
+            let mixed = (self.0 ^ (self.0 >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+            let mixed = (mixed ^ (mixed >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+            (mixed ^ (mixed >> 31)) as usize % end
+        }
+    }
+
+    /// Reads bytes that are no message, and messages of zeros with a few bytes that are wrong; how many were read.
+    fn read<M: RosMessage>(rng: &mut Random) -> usize {
+        let mut count = 0;
+        for round in 0..2000 {
+            let is_rubbish = round % 2 == 0;
+            let mut bytes = vec![0; rng.below(800)];
+            let wrong = if is_rubbish { bytes.len() } else { rng.below(5).min(bytes.len()) };
+            for place in 0..wrong {
+                let at = if is_rubbish { place } else { rng.below(bytes.len()) };
+                bytes[at] = rng.below(256) as u8;
+            }
+            let encoding = RepresentationIdentifier::CDR_LE;
+            count += usize::from(deserialize_from_cdr_with_rep_id::<M>(&bytes, encoding).is_ok());
+        }
+        count
+    }
+
+    #[test]
+    fn bytes_that_are_no_message_are_refused_without_a_panic() {
+        let mut rng = Random(1);
+        let read = [
+            read::<Empty>(&mut rng),
+            read::<Bool>(&mut rng),
+            read::<Float64>(&mut rng),
+            read::<Text>(&mut rng),
+            read::<StringStamped>(&mut rng),
+            read::<JointState>(&mut rng),
+            read::<Joy>(&mut rng),
+            read::<Numbers>(&mut rng),
+            read::<PoseStamped>(&mut rng),
+            read::<TwistStamped>(&mut rng),
+            read::<WrenchStamped>(&mut rng),
+            read::<CartesianServo>(&mut rng),
+            read::<CartesianImpedance>(&mut rng),
+        ];
+        assert!(read.iter().all(|count| (10..2000).contains(count)), "{read:?}");
+    }
+
+    #[test]
+    fn what_a_message_holds_is_what_its_command_needs() {
+        let joints = JointState {
+            position: vec![1.0, 2.0],
+            velocity: vec![3.0, 4.0],
+            effort: vec![5.0],
+            ..JointState::default()
+        };
+        let content = |topic: &str| joints.clone().content(topic);
+        assert_eq!(content("servo_jp").more, [3.0, 4.0]);
+        assert_eq!(content("move_jp"), Content::numbers([1.0, 2.0]));
+        assert_eq!(content("servo_jv"), Content::numbers([3.0, 4.0]));
+        let header = Header::new(Stamp::default(), "world");
+        let pose = Pose::from([1.0, 2.0, 3.0, 0.0, 0.0, 0.0, 1.0]);
+        let content = PoseStamped { header, pose }.content("servo_cp");
+        assert_eq!((content.numbers.len(), content.text.as_str()), (7, "world"));
+        assert_eq!(content.numbers[..3], [1.0, 2.0, 3.0]);
+    }
+}
