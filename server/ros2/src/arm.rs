@@ -23,11 +23,14 @@ use crate::statistics::Statistics;
 const WITH_JACOBIANS: [&str; 4] =
     ["body/jacobian", "spatial/jacobian", "local/measured_cv", "setpoint_cv"];
 
+/// Publishes the message of one topic.
+type Publish = Box<dyn Fn(&Reading)>;
+
 /// A topic that is published at the rate of states.
 struct Stream {
     name: String,
     needs_jacobians: bool,
-    publish: Box<dyn Fn(&Reading)>,
+    publish: Publish,
 }
 
 /// What is published when it happens.
@@ -197,8 +200,8 @@ impl Events {
 fn stream(bus: &mut Bus<Dvrk>, name: String, topic: &str) -> anyhow::Result<Option<Stream>> {
     let needs_jacobians = WITH_JACOBIANS.contains(&topic);
     let publish = match topic {
-        "measured_js" => making(bus, &name, Reading::measured_js),
-        "setpoint_js" => making(bus, &name, Reading::setpoint_js),
+        "measured_js" => making(bus, &name, |reading| Some(reading.measured_js())),
+        "setpoint_js" => making(bus, &name, |reading| Some(reading.setpoint_js())),
         "jaw/measured_js" => making(bus, &name, Reading::jaw_measured_js),
         "jaw/setpoint_js" => making(bus, &name, Reading::jaw_setpoint_js),
         "measured_cp" => making(bus, &name, Reading::measured_cp),
@@ -211,7 +214,7 @@ fn stream(bus: &mut Bus<Dvrk>, name: String, topic: &str) -> anyhow::Result<Opti
         "body/measured_cf" | "spatial/measured_cf" => making(bus, &name, Reading::measured_cf),
         "body/jacobian" => making(bus, &name, Reading::body_jacobian),
         "spatial/jacobian" => making(bus, &name, Reading::spatial_jacobian),
-        "measured_cs" => making(bus, &name, Reading::measured_cs),
+        "measured_cs" => making(bus, &name, |reading| Some(reading.measured_cs())),
         _ => return Ok(None),
     }?;
     Ok(Some(Stream { name, needs_jacobians, publish }))
@@ -221,7 +224,7 @@ fn making<M: RosMessage>(
     bus: &mut Bus<Dvrk>,
     name: &str,
     make: impl Fn(&Reading) -> Option<M> + 'static,
-) -> anyhow::Result<Box<dyn Fn(&Reading)>> {
+) -> anyhow::Result<Publish> {
     let publisher = bus.publisher::<M>(name, Keeps::Nothing)?;
     Ok(Box::new(move |reading| {
         if let Some(message) = make(reading) {

@@ -31,7 +31,7 @@ pub(crate) struct System {
 impl Console {
     pub(crate) fn new(bus: &mut Bus<Dvrk>) -> anyhow::Result<Self> {
         bus.subscribe("/console/teleop/enable", |dvrk, is: Bool| {
-            publish(&dvrk.console.enabled, is)
+            publish(&dvrk.console.enabled, is);
         })?;
         bus.subscribe("/console/teleop/set_scale", |dvrk, scale: Float64| {
             publish(&dvrk.console.scale, scale);

@@ -95,12 +95,12 @@ impl Reading {
         (jacobian.ncols() == count).then(|| jacobian * velocity)
     }
 
-    pub(crate) fn measured_js(&self) -> Option<JointState> {
-        Some(self.joints(&self.arm.measured_position, &self.arm.measured_velocity))
+    pub(crate) fn measured_js(&self) -> JointState {
+        self.joints(&self.arm.measured_position, &self.arm.measured_velocity)
     }
 
-    pub(crate) fn setpoint_js(&self) -> Option<JointState> {
-        Some(self.joints(&self.arm.setpoint_position, &self.arm.setpoint_velocity))
+    pub(crate) fn setpoint_js(&self) -> JointState {
+        self.joints(&self.arm.setpoint_position, &self.arm.setpoint_velocity)
     }
 
     pub(crate) fn jaw_measured_js(&self) -> Option<JointState> {
@@ -130,7 +130,7 @@ impl Reading {
 
     pub(crate) fn measured_cv(&self) -> Option<TwistStamped> {
         let (header, twist) = (self.header(), self.arm.measured_cv.into());
-        self.has_tool().then(|| TwistStamped { header, twist })
+        self.has_tool().then_some(TwistStamped { header, twist })
     }
 
     /// In the axes of the end, as dVRK has it.
@@ -161,10 +161,10 @@ impl Reading {
         self.jacobians.as_ref().map(|[_, spatial]| Numbers::matrix(6, spatial.clone()))
     }
 
-    pub(crate) fn measured_cs(&self) -> Option<CartesianState> {
+    pub(crate) fn measured_cs(&self) -> CartesianState {
         let is = |data: bool| Bool { data };
         let has_tool = self.has_tool();
-        Some(CartesianState {
+        CartesianState {
             header: self.header(),
             pose: self.arm.measured_cp.into(),
             pose_is_valid: is(has_tool),
@@ -172,6 +172,6 @@ impl Reading {
             twist_is_valid: is(has_tool),
             wrench: Wrench::default(),
             wrench_is_valid: is(false),
-        })
+        }
     }
 }

@@ -9,10 +9,13 @@ use crate::messages::{Bool, Float64, Header, Numbers, PoseStamped, RosMessage, S
 /// The frame that it is all in.
 const FRAME: &str = "world";
 
+/// Publishes the message of one topic.
+type Publish = Box<dyn Fn(&LiveWorld, Stamp)>;
+
 /// A topic that is published at the rate of states.
 struct Stream {
     topic: String,
-    publish: Box<dyn Fn(&LiveWorld, Stamp)>,
+    publish: Publish,
 }
 
 /// The topics of objects and of the task.
