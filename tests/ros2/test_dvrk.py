@@ -6,6 +6,7 @@ import math
 import struct
 import time
 import zlib
+from collections.abc import Callable
 from typing import Any
 
 import pytest
@@ -112,15 +113,22 @@ def test_every_topic_and_service_of_a_da_vinci_is_there(arms: list[Arm]) -> None
     def there(found: list[tuple[str, list[str]]]) -> dict[str, str]:
         return {name: kinds[0] for name, kinds in found}
 
-    topics = there(ros.node.get_topic_names_and_types())
-    assert expected.items() <= topics.items(), set(expected.items()) - set(topics.items())
-    found = there(ros.node.get_service_names_and_types())
-    assert services.items() <= found.items(), set(services.items()) - set(found.items())
+    def missing(expected: dict[str, str], find: Callable[[], Any]) -> set[tuple[str, str]]:
+        """What was not discovered within a while."""
+        deadline = time.monotonic() + 20.0
+        while lacks := set(expected.items()) - set(there(find()).items()):
+            if time.monotonic() > deadline:
+                break
+            time.sleep(0.05)
+        return lacks
+
+    assert not missing(expected, ros.node.get_topic_names_and_types)
+    assert not missing(services, ros.node.get_service_names_and_types)
     # And nothing that is not listed, but for what is CRTK's, and what only a simulator knows.
     crtk = {"servo_jv", "servo_cv", "servo_cr", "move_cr", "goal_js", "goal_cp"}
     more = {
         name
-        for name in topics
+        for name in there(ros.node.get_topic_names_and_types())
         if name.split("/")[1] in (*ARMS, "console", "system") and name not in expected
     }
     assert {name.rsplit("/", 1)[1] for name in more} <= crtk
