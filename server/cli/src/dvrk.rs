@@ -1,4 +1,4 @@
-//! `trocar dvrk`: runs the program of its own that is a node of ROS 2, since it brings eighty packages that nothing else
+//! `trocar dvrk`: runs the program of its own that is a node of ROS 2, since it brings forty packages that nothing else
 //! needs.
 
 use std::convert::Infallible;

@@ -87,6 +87,21 @@ fn every_help_text_shows_examples() {
 }
 
 #[test]
+fn a_program_that_is_built_apart_is_asked_for_where_it_is_missing() {
+    let folder = std::env::temp_dir().join(format!("trocar-{}-alone", std::process::id()));
+    std::fs::create_dir(&folder).unwrap();
+    // Where it may not be linked to, it is copied.
+    let (whole, alone) = (env!("CARGO_BIN_EXE_trocar"), folder.join("trocar"));
+    if std::fs::hard_link(whole, &alone).is_err() {
+        std::fs::copy(whole, &alone).unwrap();
+    }
+    let done = Command::new(&alone).args(["dvrk", "--task", "NeedlePick-v0"]).output().unwrap();
+    std::fs::remove_dir_all(&folder).unwrap();
+    assert_eq!(done.status.code(), Some(1));
+    assert!(stderr(&done).contains("cargo build --release -p trocar-ros2"), "{}", stderr(&done));
+}
+
+#[test]
 fn exit_codes_tell_what_was_wrong() {
     for usage in [
         ["rollout", "--task", "Juggle-v0"].as_slice(),

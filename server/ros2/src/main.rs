@@ -31,7 +31,7 @@ use anyhow::Context as _;
 use clap::{Parser, ValueEnum};
 use tracing_subscriber::EnvFilter;
 use trocar_client::proto::dvrk::{Homing, LiveRequest};
-use trocar_client::{Client, SessionRequest};
+use trocar_client::{CallError, Client, Code, ConnectError, Rejection, SessionRequest};
 
 use crate::bus::Bus;
 use crate::dvrk::Dvrk;
@@ -39,7 +39,7 @@ use crate::images::Images;
 
 /// A live world as a da Vinci Research Kit on ROS 2: scripts of dVRK 2.4 drive its arms.
 #[derive(Debug, Parser)]
-#[command(name = "trocar dvrk", version)]
+#[command(name = "trocar dvrk", version, after_help = AFTER_HELP)]
 struct Options {
     /// The task whose world it is
     #[arg(long, default_value = "BiPegTransfer-v0")]
@@ -91,6 +91,14 @@ enum Frames {
     World,
 }
 
+const AFTER_HELP: &str = "\
+Examples:
+  trocar dvrk                                          both PSMs and the ECM, on this machine
+  trocar dvrk --task NeedlePick-v0 --frames world --images
+  trocar dvrk --server lab --interface 192.168.0.7     on a server that runs, for a network
+
+The domain of ROS 2 is $ROS_DOMAIN_ID unless --domain says otherwise.";
+
 fn rate(text: &str) -> Result<f64, String> {
     let rate = text.parse().map_err(|error| format!("{error}"))?;
     if (1.0..=240.0).contains(&rate) { Ok(rate) } else { Err("allowed is 1 to 240".into()) }
@@ -107,8 +115,28 @@ fn main() -> ExitCode {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
             tracing::error!("{error:#}");
-            ExitCode::FAILURE
+            ExitCode::from(code_of(&error))
         }
+    }
+}
+
+/// The exit codes of `trocar`: 2 for what a user asked wrongly, 3 where no server runs, else 1.
+fn code_of(error: &anyhow::Error) -> u8 {
+    let of_refusal = |refusal: &Rejection| match refusal.code {
+        Code::UnknownTask | Code::UnknownOption | Code::InvalidOption => 2,
+        _ => 1,
+    };
+    if let Some(error) = error.downcast_ref() {
+        return match error {
+            ConnectError::NoServer { .. } => 3,
+            ConnectError::Refused(refusal) => of_refusal(refusal),
+            _ => 1,
+        };
+    }
+    match error.downcast_ref() {
+        Some(CallError::ServerLost { .. }) => 3,
+        Some(CallError::Refused(refusal)) => of_refusal(refusal),
+        _ => 1,
     }
 }
 
