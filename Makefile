@@ -46,7 +46,7 @@ PIP_INSTALL := -m pip install --quiet --disable-pip-version-check
 help:
 	@echo 'Needs for everything: Linux, Rust >= 1.95 (cargo), a C linker, make.'
 	@echo 'Those marked * also need Python >= 3.10 with venv, and a package index for pip.'
-	@grep -E '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## (.*)/  make \1\t\2/' | expand -t 18
+	@grep -E '^[a-z0-9-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z0-9-]+):.*## (.*)/  make \1\t\2/' | expand -t 18
 
 # ---- Running ----
 

@@ -20,7 +20,7 @@ fn moves_of_dvrks_test_scripts_take_the_times_of_the_closed_form() {
     let server = Server::start();
     let mut script = Script::new(&server, "NeedleReach-v0");
     let names: Vec<_> = script.world.live().arms.iter().map(|arm| arm.name.as_str()).collect();
-    assert_eq!(names, ["PSM1"]);
+    assert_eq!(names, ["PSM1", "ECM"]);
     script.enable_and_home("PSM1");
     // Homed again, every command is answered, and nothing moves.
     script.heard.clear();

@@ -6,6 +6,7 @@ import itertools
 import os
 import signal
 import subprocess
+import threading
 from collections.abc import Iterator
 from typing import Any
 
@@ -26,6 +27,11 @@ def _stop(process: subprocess.Popen[str]) -> None:
         raise
 
 
+def _drain(process: subprocess.Popen[str]) -> None:
+    for _ in process.stderr or []:
+        pass
+
+
 class Start:
     """Starts the program with arguments, and connects to it."""
 
@@ -42,6 +48,8 @@ class Start:
                 break
         else:
             raise AssertionError(f"trocar dvrk did not start: {process.wait()}")
+        # What it says from now on must not fill the pipe.
+        threading.Thread(target=_drain, args=[process], daemon=True).start()
         ros = Ros(domain)
         self.started.append((process, ros))
         return ros

@@ -70,6 +70,7 @@ def test_b7_disabling_during_a_move_stops_it(homed: Arm) -> None:
     assert homed.move_jp([60 * DEGREE, *ZERO[1:]]).wait(is_busy=True)
     time.sleep(0.2)
     assert homed.disable(5)
+    homed.fresh("measured_js")
     stopped = homed.fresh("measured_js").position[0]
     assert 0.0 < stopped < 50 * DEGREE
     assert not homed.move_jp(ZERO).wait(timeout=0.5)
