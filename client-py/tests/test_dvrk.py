@@ -252,6 +252,10 @@ def test_a_script_that_starts_late_finds_its_way(server: str, world: dvrk.World)
         with pytest.raises(ArmIsDriven, match="PSM1"):
             arm.home(1)
         first.close()
+        deadline = time.monotonic() + 30.0
+        while late.live.status("PSM1")[1] != 0:
+            assert time.monotonic() < deadline
+            late.look()
         # It has heard of no state yet, and every command is answered.
         again: Any = dvrk.psm(crtk.ral("again"), "PSM1")
         assert again.home(10)
