@@ -93,7 +93,7 @@ impl Arm {
         &self.info.name
     }
 
-    /// Publishes how the arm is, if anybody listens.
+    /// Publishes how the arm is, if a subscriber listens.
     pub(crate) fn publish_state(
         &mut self,
         bus: &Bus<Dvrk>,

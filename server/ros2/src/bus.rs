@@ -22,10 +22,10 @@ const DEPTH: usize = 100;
 /// Messages of one topic that are taken before others get their turn.
 const AT_ONCE: usize = 1000;
 
-/// How often it is looked who listens.
+/// How often the node looks for subscribers.
 const LOOK: Duration = Duration::from_millis(200);
 
-/// Whether a publisher keeps what it published for those who come later.
+/// Whether a publisher keeps what it published for later subscribers.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Keeps {
     /// States, which are published again and again.
@@ -187,7 +187,7 @@ impl<C: 'static> Bus<C> {
         self.listened.contains(name)
     }
 
-    /// Looks now and then who listens.
+    /// Looks for subscribers now and then.
     pub(crate) fn look(&mut self) {
         if self.looked.is_some_and(|looked| looked.elapsed() < LOOK) {
             return;

@@ -2,7 +2,7 @@
 //!
 //! | file | holds |
 //! |---|---|
-//! | `bus.rs` | the node: publishers, subscriptions, services, who listens |
+//! | `bus.rs` | the node: publishers, subscriptions, services, subscribers |
 //! | `messages.rs` | the messages, field by field |
 //! | `dvrk.rs` | the world: looks at it, gives commands, publishes |
 //! | `arm.rs`, `reading.rs` | the topics of one arm; its state as messages |
