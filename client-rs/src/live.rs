@@ -9,6 +9,7 @@ use trocar_proto::dvrk::record::{
     AnswerRecord, CommandRecord, EventRecord, Question, QuestionRecord,
 };
 use trocar_proto::dvrk::{ArmRecord, Command, Event, LiveInfo, TICKS_PER_SECOND, WorldRecord};
+use trocar_proto::part::MAX_PART;
 use trocar_proto::wire::{
     Header, LiveReplyLayout, LiveRequestLayout, MAX_COMMANDS, MAX_TICKS, PictureLayout, flag, kind,
 };
@@ -262,10 +263,12 @@ impl LiveWorld {
         let mut recording = vec![];
         loop {
             let (parts, _) = self.client.recorded(self.info.session)?;
-            if parts.is_empty() {
+            // Others may go on commanding: a message that is not nearly full had all that there was.
+            let is_all = parts.len() < MAX_PART / 2;
+            recording.extend(parts);
+            if is_all {
                 return Ok(recording);
             }
-            recording.extend(parts);
         }
     }
 

@@ -10,7 +10,7 @@ use anyhow::Context;
 use clap::Args;
 use indicatif::ProgressBar;
 use trocar_client::{CallError, Client, Code};
-use trocar_proto::part::{self, Kind};
+use trocar_proto::part::{self, Kind, MAX_PART};
 use trocar_proto::seed;
 use trocar_proto::snapshot::Recipe;
 use trocar_server::Registry;
@@ -140,8 +140,10 @@ impl Record {
                 Err(error) => return Err(error.into()),
             };
             lost += missing;
-            let is_all = bytes.is_empty();
-            for part in if is_all { vec![] } else { part::split(&bytes)? } {
+            // A live world may be commanded without a pause: a message that is not nearly full had all that there was.
+            let is_live = Kind::of(&bytes) == Some(Kind::Live);
+            let is_all = bytes.is_empty() || is_live && bytes.len() < MAX_PART / 2;
+            for part in if bytes.is_empty() { vec![] } else { part::split(&bytes)? } {
                 if Kind::of(part) == Some(Kind::Live) {
                     // All that was done in a live world, from its beginning on, is one episode.
                     last = Some((0, 0));

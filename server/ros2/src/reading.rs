@@ -23,7 +23,7 @@ pub(crate) struct Reading {
 }
 
 impl Reading {
-    /// The arm as it was in the latest reply. The server is asked for Jacobians only where somebody listens.
+    /// The arm as it was in the latest reply. The node asks the server for Jacobians only where a subscriber takes them.
     pub(crate) fn new(
         world: &mut LiveWorld,
         info: &Rc<ArmInfo>,

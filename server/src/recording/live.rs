@@ -12,8 +12,8 @@ use crate::registry::Registry;
 /// Longest that commands wait for their stretch to end, ticks: a second.
 const LONGEST: u64 = 240;
 
-/// Commands that end a stretch, bytes: they must fit into a part.
-const MOST_OPEN: usize = 32 << 10;
+/// Commands that end a stretch, bytes: several stretches fit into a message.
+const MOST_OPEN: usize = 16 << 10;
 
 /// Most bytes that a world keeps: some 17 minutes of two arms that are servoed at 500 Hz.
 const MOST_KEPT: usize = 64 << 20;
@@ -94,6 +94,11 @@ impl LiveLog {
     /// Forgets it all, and keeps nothing from now on.
     pub(crate) fn give_up(&mut self) {
         *self = Self { parts: vec![], bytes: 0, open: vec![], is_given_up: true, ..*self };
+    }
+
+    /// Whether there are commands in the stretch that is not over.
+    pub(crate) fn has_commands(&self) -> bool {
+        !self.open.is_empty()
     }
 
     /// Bytes that it takes.

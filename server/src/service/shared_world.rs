@@ -277,7 +277,11 @@ impl SharedWorld {
 
     /// Begins a recording, which has all that led to the present state.
     pub(super) fn record(&self) {
-        self.lock().fetched = Some(vec![]);
+        let mut state = self.lock();
+        let WorldState { world, log, fetched, .. } = &mut *state;
+        log.close(world);
+        *fetched = Some(vec![]);
+        self.pay(&mut state);
     }
 
     /// The parts of the recording that were not fetched yet, of about `room` bytes.
@@ -288,7 +292,10 @@ impl SharedWorld {
             let why = "it is not recorded; begin again";
             return Err(Rejection::new(Code::UnknownSession, "recording", "none", why));
         };
-        log.close(world);
+        // Time that passes without commands is told with the next ones: else there would always be something new.
+        if log.has_commands() {
+            log.close(world);
+        }
         let parts = log.parts()?;
         let same = fetched.iter().zip(parts).take_while(|(one, other)| Arc::ptr_eq(one, other));
         let same = same.count();

@@ -57,7 +57,7 @@ def test_keys_move_the_arm_and_what_was_done_plays_again(tmp_path: Path) -> None
         assert browser.picture() != before
         assert browser.run(NOTICE) == ""
 
-        # A second driver is told who drives.
+        # The second page learns that another page drives.
         look(other, address)
         other.press("g")
         other.wait_for(f"{NOTICE}.includes('a page of the viewer drives it')")
