@@ -153,7 +153,7 @@ test-rust: ## Rust: unit, task suite, command, multi-process (reduced counts)
 
 .PHONY: test-loom
 test-loom: ## every order in which threads can wake each other up, by loom: no wake-up is lost
-	$(CARGO) test --locked -p trocar-proto --features loom --test loom
+	$(CARGO) test $(RUST) --features trocar-proto/loom --test loom
 
 # Every 17th call; in `make soak` all of them.
 .PHONY: test-faults
@@ -164,7 +164,7 @@ test-faults: ## calls of the kernel fail, one after the other, by strace, which 
 .PHONY: test-python
 test-python: develop ## * Python with the newest Gymnasium: types, stubs, tests
 	cd client-py && $(BIN)/mypy && $(BIN)/mypy ../tests/prose.py ../tests/vocabulary.py && for worker in demo bench load; do $(BIN)/mypy ../server/cli/src/$$worker/worker.py; done
-	cd client-py && TROCAR_BINARY=$(TARGET)/debug/trocar $(BIN)/python -m pytest
+	cd client-py && TROCAR_BINARY=$(TARGET)/debug/trocar $(BIN)/python -m pytest -n auto --maxprocesses 4
 	TROCAR_PYTHON=$(BIN)/python $(CARGO) test $(RUST) --test load python_clients
 
 .PHONY: test-wheels

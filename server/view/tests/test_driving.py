@@ -23,15 +23,15 @@ NOTICE = "document.querySelector('#notice').innerText"
 def world(task: str, out: Path) -> Iterator[str]:
     """A live world that waits to be driven, at an address; what was done is recorded."""
     command = [BINARY, "drive", "--task", task, "--speed", "2", "--out", str(out)]
-    process = subprocess.Popen(
+    with subprocess.Popen(
         command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
-    )
-    try:
-        assert process.stdout is not None
-        yield process.stdout.readline().strip()
-    finally:
-        process.send_signal(signal.SIGINT)
-        assert process.wait(PATIENCE) == 0
+    ) as process:
+        try:
+            assert process.stdout is not None
+            yield process.stdout.readline().strip()
+        finally:
+            process.send_signal(signal.SIGINT)
+            assert process.wait(PATIENCE) == 0
 
 
 def look(browser: Chromium, address: str) -> None:
