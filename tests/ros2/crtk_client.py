@@ -216,9 +216,13 @@ class Arm:
         return self.latest[topic]
 
     def fresh(self, topic: str, timeout: float = 5.0) -> Any:
-        """A message that comes after this call."""
-        before = self.latest.get(topic)
-        if not self.ros.until(lambda: self.latest.get(topic) is not before, timeout):
+        """A message about a moment after this call: messages may wait for their turn."""
+        now = time.time()
+
+        def is_fresh() -> bool:
+            return topic in self.latest and seconds(self.latest[topic].header) > now
+
+        if not self.ros.until(is_fresh, timeout):
             raise TimeoutError(f"{self.name}/{topic}: no data")
         return self.latest[topic]
 

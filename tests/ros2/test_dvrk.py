@@ -145,8 +145,7 @@ def test_both_instruments_and_the_endoscope_move_at_once(arms: list[Arm]) -> Non
     ]
     assert all(move.wait() for move in moves)
     for arm in arms:
-        arm.fresh("measured_js")
-        measured, setpoint = arm.fresh("measured_js"), arm.read("setpoint_js")
+        measured, setpoint = arm.fresh("measured_js"), arm.fresh("setpoint_js")
         assert list(measured.position[:3]) == pytest.approx([0.1, 0.05, 0.13], abs=1e-4)
         assert list(setpoint.position[:3]) == pytest.approx([0.1, 0.05, 0.13], abs=1e-9)
     # Servoed, too, all of them at 100 Hz.

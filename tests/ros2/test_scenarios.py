@@ -178,8 +178,6 @@ def test_a8_moves_of_poses_take_the_time_of_the_slowest_joint(
         goal = moved(start, *way)
         total += timed(lambda goal=goal: homed.move_cp(goal).wait(), expected)
         reached = homed.fresh("measured_cp")
-        # It may be that of the tick before.
-        reached = homed.fresh("measured_cp")
         assert distance(reached.pose, goal) < 1e-5
         if index in joints:
             assert list(homed.fresh("setpoint_js").position) == pytest.approx(
@@ -191,7 +189,6 @@ def test_a8_moves_of_poses_take_the_time_of_the_slowest_joint(
 def test_a9_the_jaw_opens_and_closes_in_the_time_of_its_limits(homed: Arm) -> None:
     timed(lambda: homed.jaw(-20 * DEGREE).wait(), 0.333)
     timed(lambda: homed.jaw(60 * DEGREE).wait(), 0.667)
-    homed.fresh("jaw/setpoint_js")
     assert homed.fresh("jaw/setpoint_js").position[0] == pytest.approx(60 * DEGREE, abs=1e-6)
     assert not homed.fresh("jaw/setpoint_js").velocity
     timed(lambda: homed.jaw(-20 * DEGREE).wait(), 0.667)
@@ -200,7 +197,6 @@ def test_a9_the_jaw_opens_and_closes_in_the_time_of_its_limits(homed: Arm) -> No
 def test_a10_jaw_and_insertion_share_a_trajectory(homed: Arm) -> None:
     assert homed.jaw(-20 * DEGREE).wait(is_busy=True)
     assert homed.insert(0.1).wait()
-    homed.fresh("setpoint_js")
     assert homed.fresh("setpoint_js").position[2] == pytest.approx(0.1, abs=1e-6)
     assert homed.fresh("jaw/setpoint_js").position[0] == pytest.approx(-20 * DEGREE, abs=1e-6)
     assert homed.jaw(60 * DEGREE).wait(is_busy=True)
@@ -211,7 +207,6 @@ def test_a11_a_jaw_that_moves_during_a_move_of_the_arm_leaves_its_goal(homed: Ar
     goal = moved(homed.fresh("setpoint_cp").pose, -0.05)
     assert homed.move_cp(goal).wait(is_busy=True)
     assert homed.jaw(-20 * DEGREE).wait()
-    homed.fresh("measured_cp")
     assert distance(homed.fresh("measured_cp").pose, goal) < 1e-5
     assert homed.fresh("jaw/setpoint_js").position[0] == pytest.approx(-20 * DEGREE, abs=1e-6)
 
