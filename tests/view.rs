@@ -6,8 +6,8 @@ use std::time::Instant;
 
 use rustix::process::Signal;
 use serde_json::{Value, json};
-use trocar_client::proto::dvrk::{Command, LiveRequest, StateCommand};
-use trocar_client::{Autoreset, Options, SessionRequest};
+use trocar_client::proto::dvrk::{Command, Homing, LiveRequest, StateCommand};
+use trocar_client::{Autoreset, Code, LiveWorld, Options, SessionRequest};
 use trocar_server::render::Jaws;
 use trocar_server::sim::frames::Pose;
 use trocar_server::view::message::{self, ENDED, HAS_ENDOSCOPE, STEP};
@@ -19,6 +19,7 @@ use tungstenite::handshake::HandshakeError;
 use tungstenite::{Message, WebSocket};
 
 use crate::harness::{PATIENCE, eventually};
+use crate::live::refused;
 use crate::operation::{Logged, get};
 use crate::twin::Bystander;
 
@@ -255,6 +256,61 @@ fn a_live_world_is_shown_while_its_arms_move() {
     while page.frame().0.poses == first.poses {
         assert!(start.elapsed() < PATIENCE, "the arm was never shown to move");
     }
+}
+
+#[test]
+fn a_page_takes_over_from_sessions_that_let_it_and_from_no_others() {
+    let theatre = Theatre::open();
+    let client = theatre.logged.server.connect();
+    let token = client.driving_page().unwrap().split_once("token=").unwrap().1.to_string();
+    let mut page = theatre.page();
+    let [mut alone, mut supervised] = [false, true].map(|intervention| {
+        let live = LiveRequest { homing: Homing::InPlace, intervention, ..LiveRequest::default() };
+        let request = SessionRequest::new("NeedleReach-v0").live(live);
+        let mut world = client.open_live(&request).unwrap();
+        for word in [StateCommand::Enable, StateCommand::Home] {
+            world.command("PSM1", &Command::State(word)).unwrap();
+        }
+        world.advance(2).unwrap();
+        world
+    });
+    let me = supervised.arm("PSM1").unwrap().driver;
+    let drive = |page: &mut Page, world: &LiveWorld| {
+        let wish = json!({"session": world.info().session, "token": token, "arm": "PSM1", "motion": "hold"});
+        page.say(&json!({ "drive": wish }));
+    };
+    // What the page asks for is done in its order.
+    drive(&mut page, &supervised);
+    drive(&mut page, &alone);
+    let words = page.text("error")["message"].to_string();
+    assert!(words.contains("drives it, in session"), "{words}");
+
+    // What the session asks of that arm is refused, until the page lets go or an episode begins.
+    let hold = |world: &mut LiveWorld| {
+        world.command("PSM1", &Command::Hold).unwrap();
+        world.look()
+    };
+    for is_reset in [true, false] {
+        assert_eq!(refused(hold(&mut supervised)).code, Code::ArmIsDriven);
+        supervised.look().unwrap();
+        assert!(![0, me].contains(&supervised.arm("PSM1").unwrap().driver));
+        if is_reset {
+            supervised.reset(7).unwrap();
+            assert_eq!(supervised.arm("PSM1").unwrap().driver, 0);
+            hold(&mut supervised).unwrap();
+            drive(&mut page, &supervised);
+            drive(&mut page, &alone);
+            page.text("error");
+        } else {
+            page.say(&json!("let_go"));
+            let start = Instant::now();
+            while hold(&mut supervised).is_err() {
+                assert!(start.elapsed() < PATIENCE, "the page never lets go");
+            }
+        }
+        assert_eq!(supervised.arm("PSM1").unwrap().driver, me);
+    }
+    hold(&mut alone).unwrap();
 }
 
 #[test]

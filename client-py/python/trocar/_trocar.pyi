@@ -101,11 +101,13 @@ class Client:
         homing: str = "to_zero",
         speed: float | None = None,
         world: int | None = None,
+        intervention: bool = False,
         view: Mapping[str, Any] | None = None,
     ) -> LiveWorld:
         """Opens a session with a live world: in lock-step, or ``speed`` times as fast as life.
 
         ``homing`` is ``to_zero`` or ``in_place``; ``world`` a session whose world is to be shared;
+        with ``intervention`` a page of the viewer that may drive takes arms over from this session;
         ``view`` says how :meth:`LiveWorld.render` draws.
         """
     def status(self) -> dict[str, Any]:
@@ -118,6 +120,8 @@ class Client:
         """
     def viewer(self) -> str:
         """Where the live viewer is, as ``address:port``; it is started where there is none."""
+    def driving_page(self) -> str:
+        """Where the viewer's page is that may drive arms: an address with a token."""
     def shut_down(self) -> None:
         """Ends the server, for all of its clients."""
 
@@ -260,7 +264,12 @@ class LiveWorld:
         numbers: Sequence[float] | NDArray[Any] = ...,
         more: Sequence[float] | NDArray[Any] = ...,
     ) -> tuple[list[float], str]:
-        """Asks a service of an arm: numbers and an empty text, or none and why."""
+        """Asks a service of an arm: numbers and an empty text, or none and why.
+
+        ``task/set_point`` is where the arm's numbers of a task's action ask it to be: of a PSM a
+        pose and the jaw angle, of the ECM joints. ``task/action`` has the numbers that bring a PSM
+        from one pose and jaw angle to others, as near as one action can.
+        """
     def observation(
         self,
     ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
@@ -273,6 +282,12 @@ class LiveWorld:
         """Brings the world back to a state that was kept; ticks and stamps go on.
 
         Every arm tells its operating state. Refused while another client drives an arm.
+        """
+    def reset(self, seed: int) -> None:
+        """Begins the first episode of a seed; ticks and stamps go on.
+
+        Every arm tells its operating state. Refused while another client drives an arm; a page that
+        took the arms over lets go.
         """
     def recording(self) -> bytes:
         """What led to the present state from the beginning on: a file for ``trocar replay``."""

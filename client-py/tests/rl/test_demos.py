@@ -46,6 +46,7 @@ def test_a_minari_data_set_is_what_the_environment_gives(
         "seed": 40,
         "episodes": 5,
         "keeps_failures": False,
+        "by_hand": False,
         "version": trocar.__version__,
         "stages": list(trocar.STAGES),
     }

@@ -32,6 +32,8 @@ pub struct LiveRequest {
     /// The session whose world this one shares; `None` for a world of its own. Task, options and speed must be those of
     /// that session. A shared world ends with the session that made it.
     pub world: Option<u64>,
+    /// Whether a page of the viewer that may drive takes the arms over that this session drives, and gives them back.
+    pub intervention: bool,
 }
 
 impl LiveRequest {

@@ -294,17 +294,25 @@ pub enum Question {
     BodyJacobian = 4,
     /// The Jacobian of the point at the remote centre.
     SpatialJacobian = 5,
+    /// Where this arm's numbers of a task's action ask it to be, from where it is: of a PSM a pose in the reference frame
+    /// and the jaw angle, of the ECM joints.
+    TaskSetPoint = 6,
+    /// This arm's numbers of the action that brings a PSM from one pose and jaw angle (first group) to others, or as near
+    /// as one action can.
+    TaskAction = 7,
 }
 
 impl Question {
     /// All of them.
-    pub const ALL: [Self; 6] = [
+    pub const ALL: [Self; 8] = [
         Self::ForwardKinematics,
         Self::LocalForwardKinematics,
         Self::InverseKinematics,
         Self::ActuatorToJointPosition,
         Self::BodyJacobian,
         Self::SpatialJacobian,
+        Self::TaskSetPoint,
+        Self::TaskAction,
     ];
 }
 

@@ -1,4 +1,4 @@
-//! `trocar demos`: records a scripted expert as a data set.
+//! `trocar demos`: records a scripted expert, or a person, as a data set.
 //!
 //! Minari and LeRobot are Python packages, and so is what writes their formats: this command checks
 //! what it is asked for and becomes `python -m trocar.demos`, which uses this program as its server.
@@ -27,13 +27,14 @@ except ImportError as error:
 sys.exit(main(sys.argv[1:]))
 ";
 
-/// Record a scripted expert as a data set.
+/// Record a scripted expert, or what you do by hand, as a data set.
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
   trocar demos --task NeedlePick-v0                     100 episodes into demos/
   trocar demos --task PegTransfer-v0 --episodes 500 --out data --resume
   trocar demos --task NeedleReach-v0 --format lerobot --json
+  trocar demos --task NeedlePick-v0 --by-hand --episodes 10   at a page in your browser: key G takes an arm
   MINARI_DATASETS_PATH=demos python -c 'import minari; minari.load_dataset(\"trocar/NeedlePick-v0/expert-v0\")'
 
 Episode k has the seed SEED + k. Those are kept whose last step ends in success. The data set holds the
@@ -50,9 +51,9 @@ pub(crate) struct Demos {
     /// Folder of data sets; this one is trocar/TASK/NAME in it
     #[arg(long, value_name = "DIR", default_value = "demos")]
     out: PathBuf,
-    /// The data set's name, with a version
-    #[arg(long, default_value = "expert-v0")]
-    name: String,
+    /// The data set's name, with a version [default: expert-v0, by hand hand-v0]
+    #[arg(long)]
+    name: Option<String>,
     /// What it is written as
     #[arg(long, value_enum, default_value_t = Format::Minari)]
     format: Format,
@@ -65,6 +66,8 @@ pub(crate) struct Demos {
     /// Keep episodes that do not succeed, too
     #[arg(long)]
     keep_failures: bool,
+    #[command(flatten)]
+    hands: Hands,
     /// Go on with an interrupted recording
     #[arg(long)]
     resume: bool,
@@ -76,6 +79,21 @@ pub(crate) struct Demos {
     /// One JSON object on stdout
     #[arg(long)]
     json: bool,
+}
+
+/// What is about episodes by hand.
+#[derive(Debug, Args)]
+struct Hands {
+    /// Drive the arms yourself, at the page whose address is printed; an episode ends with success, when you let go
+    /// of the arms, or at the time limit
+    #[arg(long)]
+    by_hand: bool,
+    /// Times real time, by hand
+    #[arg(long, default_value_t = 1.0, requires = "by_hand")]
+    speed: f64,
+    /// Steps of an episode by hand [default: ten times the task's]
+    #[arg(long, value_parser = clap::value_parser!(u32).range(1..), requires = "by_hand")]
+    max_steps: Option<u32>,
 }
 
 /// Formats of data sets.
@@ -92,7 +110,14 @@ impl Demos {
         let options = self.checked_options()?;
         let python = python();
         let mut command = Command::new(&python);
-        command.args(["-c", PROGRAM, "--task", &self.task, "--name", &self.name]);
+        command.args([
+            "-c",
+            PROGRAM,
+            "--task",
+            &self.task,
+            "--speed",
+            &self.hands.speed.to_string(),
+        ]);
         command.args(["--format", self.format.to_possible_value().expect("all are").get_name()]);
         command.arg("--out").arg(&self.out);
         let numbers = [
@@ -103,7 +128,14 @@ impl Demos {
         for (flag, number) in numbers {
             command.args([flag, &number.to_string()]);
         }
+        if let Some(name) = &self.name {
+            command.args(["--name", name]);
+        }
+        if let Some(steps) = self.hands.max_steps {
+            command.args(["--max-steps", &steps.to_string()]);
+        }
         let switches = [
+            ("--by-hand", self.hands.by_hand),
             ("--keep-failures", self.keep_failures),
             ("--resume", self.resume),
             ("--json", self.json),

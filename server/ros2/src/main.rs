@@ -152,7 +152,7 @@ fn run(options: &Options) -> anyhow::Result<()> {
         HomingWord::ToZero => Homing::ToZero,
         HomingWord::InPlace => Homing::InPlace,
     };
-    let live = LiveRequest { homing, speed: Some(options.speed), world: None };
+    let live = LiveRequest { homing, speed: Some(options.speed), ..LiveRequest::default() };
     let request = SessionRequest::new(&options.task).seed(options.seed).live(live);
     let world = client.open_live(&request)?;
     let session = world.info().session;

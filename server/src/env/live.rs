@@ -1,6 +1,7 @@
 //! A world whose arms answer the commands of dVRK scripts, substep by substep.
 
 use arrayvec::ArrayVec;
+use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 use trocar_proto::{Code, Rejection};
 
 use super::{Env, State, Step};
@@ -126,6 +127,69 @@ impl LiveWorld {
     pub fn objects(&self) -> impl Iterator<Item = (&'static str, Pose)> {
         let pose = |(name, body)| (name, self.env.world.pose(body));
         self.env.task.objects().into_iter().map(pose)
+    }
+
+    /// Where an arm's numbers of a task's action ask it to be, from where it is: of a PSM the wrist in the arm's reference
+    /// frame and the opening of the jaws, of the ECM its joints. Errors say what is wrong with the numbers.
+    pub(crate) fn task_set_point(
+        &mut self,
+        place: usize,
+        action: &[f64],
+    ) -> Result<Vec<f64>, String> {
+        let action: Vec<f32> = action.iter().map(|number| *number as f32).collect();
+        let check = |expected: usize| match action.len() {
+            _ if action.iter().any(|number| !number.is_finite()) => {
+                Err("not all are finite".into())
+            }
+            count if count != expected => Err(format!("{count} numbers, expected {expected}")),
+            _ => Ok(()),
+        };
+        let reference_from_world = self.reference_from_world(place);
+        if let Some(arm) = self.env.task.arms().get(place) {
+            check(arm.action_len())?;
+            let (wrist, jaw) = arm.aim(&action);
+            let pose = crate::dvrk::numbers_of(&(reference_from_world * wrist));
+            return Ok(pose.into_iter().chain([jaw]).collect());
+        }
+        let Some(arm) = self.env.task.endoscope() else {
+            return Err("no action moves this arm".into());
+        };
+        check(arm.action_elements().len())?;
+        Ok(arm.aim(&action).to_vec())
+    }
+
+    /// The numbers of an action that bring a PSM from one wrist and opening of the jaws, in its reference frame, to
+    /// others, or as near as one action can. Errors say what is wrong with the numbers.
+    pub(crate) fn task_action(
+        &mut self,
+        place: usize,
+        from: &[f64],
+        to: &[f64],
+    ) -> Result<Vec<f64>, String> {
+        let world_from_reference = self.reference_from_world(place).inverse();
+        let read = |numbers: &[f64]| {
+            let [x, y, z, i, j, k, w, jaw] = *numbers else {
+                return Err(format!(
+                    "{} numbers, expected a pose and the jaw angle",
+                    numbers.len()
+                ));
+            };
+            let turn = UnitQuaternion::try_new(Quaternion::new(w, i, j, k), 0.5);
+            let turn = turn.filter(|_| numbers.iter().all(|number| number.is_finite()));
+            let turn = turn.ok_or("no pose: a quaternion of length 1 is needed")?;
+            let pose = Pose::from_parts(Vector3::new(x, y, z).into(), turn);
+            Ok((world_from_reference * pose, jaw))
+        };
+        let (from, to) = (read(from)?, read(to)?);
+        let arms = self.env.task.arms();
+        let arm = arms.get(place).ok_or("only of PSMs that the task's actions move")?;
+        Ok(arm.action_between(&from, &to).into_iter().map(f64::from).collect())
+    }
+
+    /// The world in the reference frame of an arm.
+    fn reference_from_world(&self, place: usize) -> Pose {
+        let arm = self.arms().nth(place).expect("its place was checked");
+        *arm.base_frame() * self.world_from_bases[place].inverse()
     }
 
     /// A number that stands for every bit of what is seen and of what the objects do.

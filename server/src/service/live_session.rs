@@ -16,11 +16,12 @@ use trocar_proto::{Code, Rejection};
 
 use super::batch::PICTURE;
 use super::batch_session;
+use super::driver::Driver;
 use super::handle::Shared;
 use super::internal;
 use super::scheduler::{Quantum, Scheduler, SlotId, Splittable};
 use super::session::{Description, ServerContext, SessionKind};
-use super::shared_world::{Driver, Passed, SharedWorld};
+use super::shared_world::{Passed, SharedWorld};
 use super::store::{self, Ledger, Saved};
 use crate::env::{Env, Imaging, Shot};
 
@@ -38,6 +39,8 @@ pub(super) struct LiveSession {
     shared: Arc<Shared>,
     world: Arc<SharedWorld>,
     is_maker: bool,
+    /// What its commands come from.
+    driver: Driver,
     request_layout: LiveRequestLayout,
     reply_layout: LiveReplyLayout,
     /// How the world is drawn when that is asked for.
@@ -86,6 +89,11 @@ impl LiveSession {
             .map(|(imaging, layout)| (imaging.in_scene(&world.with_env(Env::scene)), layout));
         let world = shared.world.get_or_init(|| world);
         let spec = world.with_env(|env| env.spec().clone());
+        let driver = Driver::Session {
+            session: shared.id,
+            pid: shared.client.pid,
+            is_supervised: live.intervention,
+        };
         Ok(Self {
             reply_layout: LiveReplyLayout::new(world.info(), &spec),
             request_layout: LiveRequestLayout::new(),
@@ -97,6 +105,7 @@ impl LiveSession {
             shared: Arc::clone(shared),
             view,
             is_maker,
+            driver,
             _timer: timer,
         })
     }
@@ -125,7 +134,7 @@ impl LiveSession {
         }
         self.commands.clear();
         self.commands.extend_from_slice(&layout.commands.view(payload, 1)[..rows]);
-        self.world.command(self.driver(), &self.commands)?;
+        self.world.command(self.driver, &self.commands)?;
         let until_event = asked.flags & flag::UNTIL_EVENT != 0;
         let mut passed = Passed::default();
         while passed.ticks < ticks && !(until_event && passed.has_told) {
@@ -163,14 +172,22 @@ impl LiveSession {
         let Saved::World(saved) = self.shared.with_store(|store| store.get(number))? else {
             return Err(store::no_state(number));
         };
-        self.world.restore(self.driver(), &saved)?;
+        self.world.restore(self.driver, &saved)?;
+        self.be_elsewhere(reply)
+    }
+
+    /// Begins another episode.
+    fn reset(&mut self, payload: &[u8], reply: &mut [u8]) -> Result<(), Rejection> {
+        let seed: u64 = self.request_layout.seed.view(payload, 1)[0];
+        self.world.reset(self.driver, seed)?;
+        self.be_elsewhere(reply)
+    }
+
+    /// Tells of a world that was brought into another state.
+    fn be_elsewhere(&mut self, reply: &mut [u8]) -> Result<(), Rejection> {
         self.steps = self.world.with_env(Env::steps);
         self.note_change();
         self.world.write(&self.reply_layout, reply, Passed::default(), &mut self.heard)
-    }
-
-    fn driver(&self) -> Driver {
-        Driver::Session { session: self.shared.id, pid: self.shared.client.pid }
     }
 
     /// Draws the world as it is: colours, or depth.
@@ -242,8 +259,10 @@ impl SessionKind for LiveSession {
             kind::RENDER => self.draw(asked.flags & flag::DEPTH != 0, reply, quantum)?,
             kind::SNAPSHOT => self.save(reply)?,
             kind::RESTORE => self.restore(payload, reply)?,
+            kind::RESET => self.reset(payload, reply)?,
             other => {
-                let taken = [kind::LIVE, kind::ASK, kind::RENDER, kind::SNAPSHOT, kind::RESTORE];
+                use kind::{ASK, LIVE, RENDER, RESET, RESTORE, SNAPSHOT};
+                let taken = [LIVE, ASK, RENDER, SNAPSHOT, RESTORE, RESET];
                 let allowed = format!("a live world takes {taken:?}");
                 return Err(Rejection::new(Code::Malformed, "header.kind", other, allowed));
             }

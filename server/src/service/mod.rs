@@ -13,6 +13,8 @@
 //! | `batch_session.rs` | a session of environments: what its messages ask for |
 //! | `live_session.rs` | a session with a live world: what its messages ask for |
 //! | `shared_world.rs` | a live world of one or several sessions: time, events, which session drives which arm |
+//! | `driver.rs` | what drives an arm of a live world: a session, a page |
+//! | `real_time.rs` | the pace of a live world whose time passes by itself |
 //! | `batch.rs` | the environments of a session: reset, step, autoreset |
 //! | `drawing.rs` | pictures of environments, once all of a message were stepped |
 //! | `heap.rs` | gives memory back that sessions have freed |
@@ -34,6 +36,7 @@ mod batch_session;
 mod control;
 mod cpus;
 mod drawing;
+mod driver;
 mod exporter;
 mod handle;
 mod heap;
@@ -42,6 +45,7 @@ mod liveness;
 mod meter;
 mod observer;
 mod ports;
+mod real_time;
 mod rows;
 mod scheduler;
 mod session;

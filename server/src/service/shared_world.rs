@@ -2,6 +2,7 @@
 //!
 //! - The session that makes a world owns it: the world ends with that session. Others may share it.
 //! - The first session that commands an arm drives it. Commands of other sessions to that arm are refused by name.
+//! - A page of the viewer takes arms over from a session that lets it, and from no other.
 //! - A session that ends, however that is, frees its arms, which then hold.
 //! - In lock-step, time passes by the ticks that any of its sessions asks for. Else it passes at the world's pace. Time
 //!   for which the server had no processor is left out: the world is then late, and never hurries.
@@ -24,6 +25,8 @@ use trocar_proto::dvrk::{
 use trocar_proto::wire::{LiveReplyLayout, MAX_EVENTS};
 use trocar_proto::{Code, Rejection};
 
+use super::driver::Driver;
+use super::real_time::RealTime;
 use super::store::Ledger;
 use crate::dvrk::{ArmController, Pose};
 use crate::env::{Env, LiveWorld};
@@ -35,9 +38,6 @@ use crate::view::source::Motion;
 
 /// Events that are kept for sessions that have not fetched them yet.
 const MOST_EVENTS: usize = 4096;
-
-/// Furthest that a paced world may be behind before it leaves time out.
-const LATEST: Duration = Duration::from_millis(100);
 
 /// In which portions the memory of a recording is counted, bytes.
 const RECORDED_AT_ONCE: u64 = 1 << 20;
@@ -74,53 +74,11 @@ struct WorldState {
     /// Events that were told since the world began.
     told: u64,
     ticks: u64,
-    clock: Option<Clock>,
+    real_time: Option<RealTime>,
     /// Room for the observation and both goals.
     seen: [Vec<f32>; 3],
     /// Why no time passes any more, if that is so.
     over: Option<Rejection>,
-}
-
-/// What drives an arm.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Driver {
-    /// A session, of this process.
-    Session { session: u64, pid: u32 },
-    /// A page of the viewer.
-    Page(u64),
-}
-
-impl Driver {
-    /// Its process; of a page, the server.
-    fn pid(self) -> u32 {
-        match self {
-            Self::Session { pid, .. } => pid,
-            Self::Page(_) => std::process::id(),
-        }
-    }
-
-    /// The refusal of what another session asks of its arm.
-    fn refusal(&self, arm: &str) -> Rejection {
-        let allowed = match self {
-            Self::Session { session, pid } => format!(
-                "process {pid} drives it, in session {session}; it is free once that session ends"
-            ),
-            Self::Page(_) => {
-                "a page of the viewer drives it; it is free once that page lets go of it".into()
-            }
-        };
-        Rejection::new(Code::ArmIsDriven, "arm", arm, allowed)
-    }
-}
-
-/// The pace of a world.
-struct Clock {
-    ticks_per_second: f64,
-    /// When the world had passed `ticks`.
-    since: Instant,
-    ticks: u64,
-    /// Ticks that were left out.
-    late: u64,
 }
 
 /// What a message let pass.
@@ -139,31 +97,18 @@ impl SharedWorld {
         request: &SessionRequest,
         live: LiveRequest,
     ) -> Result<Self, Rejection> {
-        let mut env = registry.make(&request.task, &request.options)?;
-        env.reset(Some(request.seed));
-        let log = LiveLog::new(Beginning {
-            version: env!("CARGO_PKG_VERSION").into(),
-            task: request.task.clone(),
-            options: request.options.clone(),
-            seed: request.seed,
-            homing: live.homing,
-        })?;
-        let world = LiveWorld::new(env, live.homing)?;
+        let env = registry.make(&request.task, &request.options)?;
+        let SavedWorld { world, log } = begun(env, request, request.seed)?;
         let arms = world.arms().map(|arm| arm_info(&world, arm)).collect();
         let objects = world.objects().map(|(name, _)| name.to_string()).collect();
         let info = LiveInfo { arms, objects, speed: live.speed };
-        let clock = live.speed.map(|speed| Clock {
-            ticks_per_second: TICKS_PER_SECOND as f64 * speed,
-            since: Instant::now(),
-            ticks: 0,
-            late: 0,
-        });
+        let real_time = live.speed.map(RealTime::new);
         let state = WorldState {
             drivers: info.arms.iter().map(|_| None).collect(),
             events: VecDeque::with_capacity(MOST_EVENTS),
             told: 0,
             ticks: 0,
-            clock,
+            real_time,
             seen: {
                 let spec = world.env().spec();
                 let goal = vec![0.0; spec.goal_dim()];
@@ -231,7 +176,8 @@ impl SharedWorld {
             return Err(over.clone());
         }
         for (place, _) in &commands {
-            if let Some(other) = state.drivers[*place].filter(|other| *other != driver) {
+            let other = state.drivers[*place].filter(|other| *other != driver);
+            if let Some(other) = other.filter(|other| !driver.takes_over(*other)) {
                 return Err(other.refusal(&self.info.arms[*place].name));
             }
         }
@@ -260,19 +206,34 @@ impl SharedWorld {
     /// Brings the world back to a state that was kept. Time goes on from where it is.
     pub(super) fn restore(&self, driver: Driver, saved: &SavedWorld) -> Result<(), Rejection> {
         let mut state = self.lock();
+        self.check_alone(&state, driver)?;
+        state.go_on_from(saved.clone());
+        Ok(())
+    }
+
+    /// Begins the first episode of a seed. Time goes on from where it is; a page that took the arms over lets go.
+    pub(super) fn reset(&self, driver: Driver, seed: u64) -> Result<(), Rejection> {
+        let mut state = self.lock();
+        for place in &mut state.drivers {
+            place.take_if(|other| other.takes_over(driver));
+        }
+        self.check_alone(&state, driver)?;
+        let env = state.world.clone().into_env();
+        state.go_on_from(begun(env, &self.request, seed)?);
+        Ok(())
+    }
+
+    /// Whether a driver may bring the world into another state: no other drives an arm.
+    fn check_alone(&self, state: &WorldState, driver: Driver) -> Result<(), Rejection> {
         if let Some(over) = state.over.as_ref().filter(|over| over.code == Code::UnknownSession) {
             return Err(over.clone());
         }
         let others = state.drivers.iter().zip(&self.info.arms);
         let mut others = others.filter_map(|(other, arm)| Some((other.as_ref()?, &arm.name)));
-        if let Some((other, name)) = others.find(|(other, _)| **other != driver) {
-            return Err(other.refusal(name));
+        match others.find(|(other, _)| **other != driver) {
+            Some((other, name)) => Err(other.refusal(name)),
+            None => Ok(()),
         }
-        let SavedWorld { mut world, log } = saved.clone();
-        world.resume_after(&state.world);
-        (state.world, state.log, state.over) = (world, log, None);
-        state.listen();
-        Ok(())
     }
 
     /// Begins a recording, which has all that led to the present state.
@@ -327,7 +288,7 @@ impl SharedWorld {
     /// Lets up to so many ticks pass in lock-step.
     pub(super) fn advance(&self, ticks: u32, until_event: bool) -> Result<Passed, Rejection> {
         let mut state = self.lock();
-        if state.clock.is_some() {
+        if state.real_time.is_some() {
             let allowed = "0: its time passes at its own pace, which live.speed has set";
             return Err(Rejection::new(Code::Unsupported, "ticks", ticks, allowed));
         }
@@ -338,7 +299,7 @@ impl SharedWorld {
     pub(super) fn due(&self) -> u64 {
         let mut state = self.lock();
         let ticks = state.ticks;
-        state.clock.as_mut().map_or(0, |clock| clock.due(ticks, Instant::now()))
+        state.real_time.as_mut().map_or(0, |time| time.due(ticks, Instant::now()))
     }
 
     /// Lets ticks pass that are due. What goes wrong is told to the next request.
@@ -396,7 +357,7 @@ impl SharedWorld {
             reward: step.reward,
             is_success: u32::from(step.is_success),
             terminated: u32::from(step.terminated),
-            late: state.clock.as_ref().map_or(0, |clock| clock.late as u32),
+            late: state.real_time.as_ref().map_or(0, |time| time.late() as u32),
         };
         Ok(())
     }
@@ -405,7 +366,15 @@ impl SharedWorld {
     pub(super) fn answer(&self, question: &QuestionRecord) -> Result<AnswerRecord, Rejection> {
         let (place, which) = (self.place(question.arm)?, question.which()?);
         let [first, second] = question.numbers.read("joints")?;
-        let state = self.lock();
+        let mut state = self.lock();
+        let by_task = match which {
+            Question::TaskSetPoint => Some(state.world.task_set_point(place, first)),
+            Question::TaskAction => Some(state.world.task_action(place, first, second)),
+            _ => None,
+        };
+        if let Some(answer) = by_task {
+            return Ok(AnswerRecord::new(answer.as_deref().map_err(String::as_str)));
+        }
         let arm = state.world.arms().nth(place).expect("its place was checked");
         let pose = |pose: Pose| crate::dvrk::numbers_of(&pose).to_vec();
         let words = |why: crate::dvrk::NoSolution| why.to_string();
@@ -434,6 +403,7 @@ impl SharedWorld {
             }
             Question::BodyJacobian => rows(arm.body_jacobian()),
             Question::SpatialJacobian => rows(arm.spatial_jacobian()),
+            Question::TaskSetPoint | Question::TaskAction => unreachable!("answered above"),
         };
         Ok(AnswerRecord::new(answer.as_deref().map_err(String::as_str)))
     }
@@ -542,6 +512,13 @@ impl WorldState {
         Ok(passed)
     }
 
+    /// Goes on from another state, in its own time.
+    fn go_on_from(&mut self, SavedWorld { mut world, log }: SavedWorld) {
+        world.resume_after(&self.world);
+        (self.world, self.log, self.over) = (world, log, None);
+        self.listen();
+    }
+
     /// Frees the arms of some drivers, which then hold.
     fn free(&mut self, is_one: impl Fn(Driver) -> bool) {
         for place in 0..self.drivers.len() {
@@ -584,20 +561,18 @@ impl WorldState {
     }
 }
 
-impl Clock {
-    /// Ticks that are due at `now` in a world that has passed `ticks`.
-    fn due(&mut self, ticks: u64, now: Instant) -> u64 {
-        let elapsed = now.saturating_duration_since(self.since);
-        let passed = self.ticks + (elapsed.as_secs_f64() * self.ticks_per_second) as u64;
-        let due = passed.saturating_sub(ticks);
-        let most = (LATEST.as_secs_f64() * self.ticks_per_second).ceil() as u64;
-        if due <= most {
-            return due;
-        }
-        self.late += due - most;
-        (self.since, self.ticks) = (now, ticks + most);
-        most
-    }
+/// The world of a request at the beginning of a seed's first episode.
+fn begun(mut env: Env, request: &SessionRequest, seed: u64) -> Result<SavedWorld, Rejection> {
+    let homing = request.live.unwrap_or_default().homing;
+    env.reset(Some(seed));
+    let log = LiveLog::new(Beginning {
+        version: env!("CARGO_PKG_VERSION").into(),
+        task: request.task.clone(),
+        options: request.options.clone(),
+        seed,
+        homing,
+    })?;
+    Ok(SavedWorld { world: LiveWorld::new(env, homing)?, log })
 }
 
 fn arm_info(world: &LiveWorld, arm: &ArmController) -> ArmInfo {
@@ -629,7 +604,7 @@ mod tests {
         };
         let (one, two) = (new(), new());
         let enable = CommandRecord::new(0, &Command::State(StateCommand::Enable)).unwrap();
-        let driver = Driver::Session { session: 1, pid: 1 };
+        let driver = Driver::Session { session: 1, pid: 1, is_supervised: false };
         for (world, is_recorded) in [(&one, true), (&two, false)] {
             world.record();
             world.command(driver, &[enable]).unwrap();
@@ -643,17 +618,5 @@ mod tests {
         assert_eq!(ledger.snapshots(), RECORDED_AT_ONCE);
         drop(one);
         assert_eq!(ledger.snapshots(), 0);
-    }
-
-    #[test]
-    fn a_world_that_is_late_leaves_time_out_and_never_hurries() {
-        let since = Instant::now();
-        let mut clock = Clock { ticks_per_second: 240.0, since, ticks: 5, late: 0 };
-        let after = |seconds| since + Duration::from_secs_f64(seconds);
-        assert_eq!(clock.due(5, after(0.05)), 12);
-        // Of 2400 ticks, a tenth of a second is due.
-        assert_eq!((clock.due(17, after(10.05)), clock.late), (24, 2376));
-        // Once these have passed, it goes on from there.
-        assert_eq!((clock.due(41, after(10.1)), clock.late), (12, 2376));
     }
 }

@@ -350,6 +350,11 @@ impl EcmArm {
         &self.offsets
     }
 
+    /// The joints that an action asks for, as far as the arm may go there, rad; index 2 in m.
+    pub fn aim(&self, action: &[f32]) -> [f64; 4] {
+        self.decode(action).unwrap_or(self.joints)
+    }
+
     /// Takes note of what the joint sensors report of an arm that is driven from outside, rad; index 2 in m.
     pub fn follow(&mut self, encoders: &[f64; 4]) {
         (self.joints, self.way) = (*encoders, [*encoders; 2]);

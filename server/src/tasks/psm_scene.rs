@@ -504,13 +504,9 @@ impl PsmArm {
             target = action::moved(&target, step, turn);
         }
         let before = self.commanded;
-        let (joints, world_from_wrist) = self
-            .solve_clear_of_pad(&self.confined(target))
-            .unwrap_or_else(|| (before.joints, self.true_pose(&before.joints)));
+        let (joints, world_from_wrist) = self.reachable(target);
         let scene_from_wrist = if self.errs() { self.pose_at(&joints) } else { world_from_wrist };
-        let most = (JAW_OPEN - JAW_CLOSED) * self.rate.scale();
-        let turn = asked - before.jaw;
-        let jaw = if turn.abs() <= most { asked } else { before.jaw + most.copysign(turn) };
+        let jaw = self.turned(asked);
         let end = Posture { world_from_wrist, jaw };
         self.profile = if self.rate.is_nominal() {
             Profile::Smoothstep { start, end }
@@ -521,6 +517,22 @@ impl PsmArm {
         };
         self.commanded = Commanded { joints, scene_from_wrist, jaw };
         asked < 0.5 * (JAW_CLOSED + JAW_OPEN)
+    }
+
+    /// The joints, as sensors report them, and the true wrist of a target: where the arm was commanded to be before if it
+    /// may not go there.
+    fn reachable(&self, target: Pose) -> ([f64; 6], Pose) {
+        let before = &self.commanded.joints;
+        self.solve_clear_of_pad(&self.confined(target))
+            .unwrap_or_else(|| (*before, self.true_pose(before)))
+    }
+
+    /// How far the jaws will be open that are asked to be open so far, rad: from closed to open takes them a step at the
+    /// nominal rate.
+    fn turned(&self, asked: f64) -> f64 {
+        let (before, most) = (self.commanded.jaw, (JAW_OPEN - JAW_CLOSED) * self.rate.scale());
+        let turn = asked - before;
+        if turn.abs() <= most { asked } else { before + most.copysign(turn) }
     }
 
     /// Takes note of how far the arm came.

@@ -9,9 +9,14 @@ import signal
 import subprocess
 import time
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
+import numpy as np
 from chromium import PATIENCE, Chromium
+
+from trocar.demos._by_hand import demonstrate
+from trocar.dvrk import LiveEnv
 
 BINARY = os.environ.get("TROCAR_BINARY", "trocar")
 
@@ -89,3 +94,47 @@ def test_keys_move_the_arm_and_what_was_done_plays_again(tmp_path: Path) -> None
     (row,) = [json.loads(line) for line in replayed.stdout.splitlines()]
     assert (row["task"], row["failed"]) == ("NeedlePick-v0", False)
     assert row["snapshots"] > 3
+
+
+def test_a_person_corrects_a_policy_gives_the_arm_back_and_demonstrates() -> None:
+    """Infos say when a person drove, and what was done instead of the policy's action."""
+    env = LiveEnv("NeedleReach-v0", speed=2.0, intervention=True, max_steps=10_000)
+    policy = np.array([0.0, 0.0, 0.1, 0.0, -1.0], np.float32)
+    with contextlib.closing(env), Chromium() as browser:
+        env.reset(seed=0)
+        look(browser, env.page)
+        *_, info = env.step(policy)
+        assert not info["is_intervention"]
+        assert np.array_equal(info["action"], policy)
+
+        def step_until(is_intervention: bool) -> None:
+            for _ in range(600):
+                *_, info = env.step(policy)
+                if info["is_intervention"] == is_intervention:
+                    return
+            raise AssertionError(f"is_intervention stays {not is_intervention}")
+
+        browser.press("g")
+        step_until(is_intervention=True)
+        with browser.holding("w"):
+            done = [env.step(policy)[-1] for _ in range(5)]
+        assert all(info["is_intervention"] for info in done)
+        # The page moves at 3 cm/s; a step takes a tenth of a second here, as life goes.
+        assert max(np.abs(info["action"][:2]).max() for info in done) > 0.2
+        browser.press("g")
+        step_until(is_intervention=False)
+
+        # An episode by hand: from taking the arm over to giving it back.
+        with ThreadPoolExecutor() as person:
+            episode = person.submit(demonstrate, env, 3)
+            browser.press("g")
+            with browser.holding("f"):
+                time.sleep(1.0)
+            browser.press("g")
+            shown = episode.result(PATIENCE)
+        assert browser.errors == []
+    assert shown.seed == 3
+    assert len(shown) >= 3
+    assert shown.observation.shape[0] == len(shown) + 1
+    assert shown.action[:, 2].min() < -0.2
+    assert shown.truncated.tolist() == [False] * (len(shown) - 1) + [True]

@@ -1,6 +1,7 @@
-"""Demonstrations: episodes of the scripted experts as data sets.
+"""Demonstrations: episodes of the scripted experts, or of people, as data sets.
 
-``trocar demos`` and ``python -m trocar.demos`` call :func:`record`. Minari's and LeRobot's formats
+``trocar demos`` and ``python -m trocar.demos`` call :func:`record`, which may also let a person
+drive. Minari's and LeRobot's formats
 need the extra ``trocar[demos]``.
 
 Episode k of a recording is the first episode of the seed ``seed + k``, whatever the number of

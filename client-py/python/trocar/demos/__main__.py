@@ -43,11 +43,14 @@ def parser() -> argparse.ArgumentParser:
     parser.add_argument("--task", required=True)
     parser.add_argument("--episodes", type=int, default=100)
     parser.add_argument("--out", default="demos")
-    parser.add_argument("--name", default="expert-v0")
+    parser.add_argument("--name", default=None)
     parser.add_argument("--format", choices=FORMATS, default="minari")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--envs", type=int, default=16)
     parser.add_argument("--keep-failures", action="store_true")
+    parser.add_argument("--by-hand", action="store_true")
+    parser.add_argument("--speed", type=float, default=1.0)
+    parser.add_argument("--max-steps", type=int, default=None)
     parser.add_argument("--resume", action="store_true")
     parser.add_argument("--server", default=None)
     parser.add_argument("--options", type=json.loads, default={}, help="options as a JSON object")
@@ -56,9 +59,15 @@ def parser() -> argparse.ArgumentParser:
 
 
 def _record(given: argparse.Namespace) -> Recording:
-    names = ("episodes", "out", "name", "format", "seed", "keep_failures", "envs", "resume")
+    names = (
+        *("episodes", "out", "name", "format", "seed", "keep_failures", "envs", "resume"),
+        *("speed", "max_steps"),
+    )
     settings: dict[str, Any] = {name: getattr(given, name) for name in names}
     settings |= {"server": given.server, **given.options}
+    settings["name"] = given.name or ("hand-v0" if given.by_hand else "expert-v0")
+    if given.by_hand:
+        settings["by_hand"] = lambda page: print(f"drive at {page}", file=sys.stderr, flush=True)
     if not sys.stderr.isatty():
         return record(given.task, **settings)
     from tqdm import tqdm

@@ -1,4 +1,4 @@
-"""Episodes of the scripted expert, many at a time."""
+"""Episodes as they are recorded; those of the scripted expert, many at a time."""
 
 from __future__ import annotations
 
@@ -26,9 +26,12 @@ class Episode:
     desired_goal: NDArray[np.float32]
     """(T + 1, goal dim)."""
     stage: NDArray[np.uint8]
-    """What the expert is about in each state, by number in ``trocar.STAGES``: (T + 1)."""
+    """What the expert is about in each state, by number in ``trocar.STAGES``: (T + 1).
+
+    Of a person's episode it is 0.
+    """
     action: NDArray[np.float32]
-    """The expert's: (T, action dim)."""
+    """What was done: (T, action dim)."""
     reward: NDArray[np.float32]
     """(T)."""
     is_success: NDArray[np.bool_]
@@ -59,8 +62,8 @@ def run(envs: TrocarVectorEnv, seeds: Sequence[int]) -> list[Episode]:
     """
     observations, infos = envs.reset(seed=seeds)
     running = np.arange(envs.num_envs)
-    states = [_Track() for _ in seeds]
-    steps = [_Track() for _ in seeds]
+    states = [Track() for _ in seeds]
+    steps = [Track() for _ in seeds]
     actions = _note(states, running, observations, infos)
     while running.size:
         envs.send(actions, running)
@@ -82,13 +85,13 @@ def run(envs: TrocarVectorEnv, seeds: Sequence[int]) -> list[Episode]:
     ]
 
 
-class _Track:
+class Track:
     """What was noted of one environment, by name, in order."""
 
     def __init__(self) -> None:
         self._noted: dict[str, list[NDArray[np.generic]]] = {}
 
-    def note(self, **values: NDArray[np.generic]) -> None:
+    def note(self, **values: NDArray[Any] | np.generic) -> None:
         for name, value in values.items():
             self._noted.setdefault(name, []).append(np.array(value))
 
@@ -97,7 +100,7 @@ class _Track:
 
 
 def _note(
-    states: list[_Track], running: NDArray[np.int_], observations: Any, infos: dict[str, Any]
+    states: list[Track], running: NDArray[np.int_], observations: Any, infos: dict[str, Any]
 ) -> NDArray[np.float32]:
     """Notes the states that the environments are in; the expert's actions there."""
     seen = observations if isinstance(observations, dict) else {"observation": observations}

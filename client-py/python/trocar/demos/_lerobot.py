@@ -18,10 +18,9 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 import trocar
-from trocar._trocar import Element
+from trocar._trocar import Element, TaskSpec
 from trocar.demos._episodes import Episode
 from trocar.registration import TAGS
-from trocar.vector import TrocarVectorEnv
 
 if TYPE_CHECKING:
     from trocar.demos._record import Recipe
@@ -32,11 +31,10 @@ FILE_MEGABYTES = 100
 """What the format recommends for a file; some hundred episodes are less than one."""
 
 
-def write(folder: Path, recipe: Recipe, envs: TrocarVectorEnv, episodes: Iterator[Episode]) -> None:
+def write(folder: Path, recipe: Recipe, task: TaskSpec, episodes: Iterator[Episode]) -> None:
     """Writes episodes to ``folder``, in the place of a data set of LeRobot's."""
-    spec = envs.task_spec
-    fps = round(1 / spec.seconds_per_step)
-    features = _features(spec.observation, spec.goal or [], spec.action)
+    fps = round(1 / task.seconds_per_step)
+    features = _features(task.observation, task.goal or [], task.action)
     columns: dict[str, list[NDArray[Any]]] = {name: [] for name in features}
     rows: list[dict[str, Any]] = []
     begin = 0
@@ -47,7 +45,7 @@ def write(folder: Path, recipe: Recipe, envs: TrocarVectorEnv, episodes: Iterato
         rows.append(
             {
                 "episode_index": number,
-                "tasks": [spec.summary],
+                "tasks": [task.summary],
                 "length": len(episode),
                 "seed": episode.seed,
                 "data/chunk_index": 0,
@@ -70,11 +68,11 @@ def write(folder: Path, recipe: Recipe, envs: TrocarVectorEnv, episodes: Iterato
     }
     _write(folder / DATA.format(chunk_index=0, file_index=0), _table(whole, features))
     _write(folder / EPISODES, pa.Table.from_pylist(rows))
-    _write(folder / "meta/tasks.parquet", _indexed("task", [spec.summary]))
+    _write(folder / "meta/tasks.parquet", _indexed("task", [task.summary]))
     _write(folder / "meta/subtasks.parquet", _indexed("subtask", list(trocar.STAGES)))
     info = {
         "codebase_version": "v3.0",
-        "robot_type": "dvrk_ecm" if "camera" in TAGS.get(spec.id, ()) else "dvrk_psm",
+        "robot_type": "dvrk_ecm" if "camera" in TAGS.get(task.id, ()) else "dvrk_psm",
         "total_episodes": len(rows),
         "total_frames": begin,
         "total_tasks": 1,

@@ -16,15 +16,19 @@ from minari.data_collector import EpisodeBuffer
 from minari.dataset.minari_storage import MinariStorage
 
 import trocar
+from trocar._goal import action_space, observation_space
+from trocar._trocar import TaskSpec
 from trocar.demos._episodes import Episode
 from trocar.registration import NAMESPACE
-from trocar.vector import TrocarVectorEnv
 
 if TYPE_CHECKING:
     from trocar.demos._record import Recipe
 
+BY = ("scripted expert", "driver, a person")
+"""Whose episodes they are."""
 
-def write(folder: Path, recipe: Recipe, envs: TrocarVectorEnv, episodes: Iterator[Episode]) -> None:
+
+def write(folder: Path, recipe: Recipe, task: TaskSpec, episodes: Iterator[Episode]) -> None:
     """Writes episodes to ``folder``, in the place of a data set of Minari's.
 
     Infos of a step are ``is_success`` and ``expert_stage``, with a first row for the reset. The
@@ -36,8 +40,8 @@ def write(folder: Path, recipe: Recipe, envs: TrocarVectorEnv, episodes: Iterato
     data.mkdir(parents=True)
     storage = MinariStorage.new(
         data,
-        observation_space=envs.single_observation_space,
-        action_space=envs.single_action_space,
+        observation_space=observation_space(task),
+        action_space=action_space(task),
         env_spec=spec,
         data_format="hdf5",
     )
@@ -46,9 +50,9 @@ def write(folder: Path, recipe: Recipe, envs: TrocarVectorEnv, episodes: Iterato
     storage.update_metadata(
         {
             "dataset_id": f"{NAMESPACE}/{recipe.task}/{name}",
-            "algorithm_name": "scripted expert",
+            "algorithm_name": BY[recipe.by_hand],
             "author": {"Trocar"},
-            "description": f"{recipe.task}, its scripted expert, {kept}",
+            "description": f"{recipe.task}, by its {BY[recipe.by_hand]}, {kept}",
             "minari_version": version("minari"),
             "requirements": [f"trocar=={trocar.__version__}"],
             "trocar": json.dumps({**asdict(recipe), "stages": trocar.STAGES}),

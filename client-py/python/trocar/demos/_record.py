@@ -1,4 +1,4 @@
-"""Recording: runs the expert, keeps what succeeded, survives interruption."""
+"""Recording: the expert or a person acts, what succeeded is kept, an interruption survived."""
 
 from __future__ import annotations
 
@@ -12,7 +12,10 @@ from typing import Any
 
 import trocar
 from trocar._goal import check_seed
+from trocar._trocar import TaskSpec
+from trocar.demos._by_hand import demonstrate
 from trocar.demos._episodes import Episode, load, run, save
+from trocar.dvrk.env import LiveEnv
 from trocar.errors import InvalidRequest, refuse
 from trocar.vector import TrocarVectorEnv
 
@@ -20,6 +23,9 @@ FORMATS = ("minari", "lerobot")
 """What demonstrations can be written as."""
 
 RECIPE = "recipe.json"
+
+LONGER = 10
+"""How many times as long as the task's episodes a person's may be."""
 
 
 @dataclass(frozen=True)
@@ -36,6 +42,8 @@ class Recipe:
     """How many episodes are run."""
     keeps_failures: bool
     """Whether those are kept that do not succeed."""
+    by_hand: bool
+    """Whether a person drives, instead of the expert."""
     version: str
     """The version of Trocar."""
 
@@ -75,10 +83,13 @@ def record(
     envs: int = 16,
     resume: bool = False,
     server: str | None = None,
+    by_hand: Callable[[str], object] | None = None,
+    speed: float = 1.0,
+    max_steps: int | None = None,
     progress: Callable[[int, int], None] | None = None,
     **options: Any,
 ) -> Recording:
-    """Runs a task's scripted expert and writes its episodes as a data set.
+    """Runs a task's scripted expert, or lets a person drive, and writes the episodes as a data set.
 
     With ``$MINARI_DATASETS_PATH`` set to ``out``, ``minari.load_dataset("trocar/TASK/NAME")`` reads
     it. What is done is kept beside it until all is done: ``resume`` goes on from there.
@@ -94,6 +105,11 @@ def record(
         envs: Most environments at a time; it changes no data.
         resume: Whether to go on with an interrupted recording of the same recipe.
         server: Name of the server; ``None`` for ``$TROCAR_SERVER``, else a private one.
+        by_hand: Lets a person drive, and is called with the address of the page to do it at. An
+            episode begins once they take an arm over there, by key G, and ends with success, when
+            they give all arms back, or at the time limit.
+        speed: How many times as fast as life the world is that a person drives.
+        max_steps: Steps of a person's episode; ``None`` for ten times the task's number.
         progress: Called with the numbers of episodes that were run and kept.
         options: The task's options.
 
@@ -107,7 +123,8 @@ def record(
     if episodes < 1:
         raise refuse(InvalidRequest, "episodes", episodes, "allowed are numbers from 1 on")
     write = _writer(format)
-    recipe = Recipe(task, options, seed, episodes, keep_failures, trocar.__version__)
+    is_by_hand = by_hand is not None
+    recipe = Recipe(task, options, seed, episodes, keep_failures, is_by_hand, trocar.__version__)
     target = dataset_path(out, task, name)
     if target.exists():
         return _finished(target, recipe, resume)
@@ -116,23 +133,21 @@ def record(
         allowed = "an interrupted recording is there; resume it, or remove it"
         raise refuse(InvalidRequest, "out", str(partial), allowed)
 
-    session = TrocarVectorEnv(
-        task,
-        min(envs, episodes),
-        server=server,
-        autoreset_mode="disabled",
-        expert=True,
-        **options,
-    )
+    source: _Expert | _Person
+    if by_hand is not None:
+        source = _Person(task, server, speed, max_steps, options)
+        by_hand(source.env.page)
+    else:
+        source = _Expert(task, server, min(envs, episodes), options)
     try:
         partial.mkdir(parents=True, exist_ok=True)
         _claim(partial, recipe)
-        kept = _collect(session, partial, recipe, progress or _say_nothing)
+        kept = _collect(source, partial, recipe, progress or _say_nothing)
         whole = target.with_name(f"{name}.whole")
         shutil.rmtree(whole, ignore_errors=True)
-        write(whole, recipe, session, _episodes(partial))
+        write(whole, recipe, source.env.task_spec, _episodes(partial))
     finally:
-        session.close()
+        source.env.close()
     recording = Recording(task, episodes, kept, str(target))
     (whole / RECIPE).write_text(recipe.to_json())
     (whole / "recording.json").write_text(json.dumps(asdict(recording)))
@@ -141,7 +156,45 @@ def record(
     return recording
 
 
-def _writer(format: str) -> Callable[[Path, Recipe, TrocarVectorEnv, Iterator[Episode]], None]:  # noqa: A002
+class _Expert:
+    """The scripted expert, in many environments at a time."""
+
+    def __init__(self, task: str, server: str | None, envs: int, options: dict[str, Any]) -> None:
+        self.count = envs
+        self.env = TrocarVectorEnv(
+            task, envs, server=server, autoreset_mode="disabled", expert=True, **options
+        )
+
+    def run(self, seeds: list[int]) -> list[Episode]:
+        """The episodes of :attr:`count` seeds."""
+        return run(self.env, seeds)
+
+
+class _Person:
+    """A person at the viewer's page."""
+
+    count = 1
+
+    def __init__(
+        self,
+        task: str,
+        server: str | None,
+        speed: float,
+        max_steps: int | None,
+        options: dict[str, Any],
+    ) -> None:
+        self.env = LiveEnv(
+            task, server=server, speed=speed, intervention=True, max_steps=max_steps, **options
+        )
+        if max_steps is None:
+            self.env.max_steps *= LONGER
+
+    def run(self, seeds: list[int]) -> list[Episode]:
+        """The episode of one seed."""
+        return [demonstrate(self.env, seed) for seed in seeds]
+
+
+def _writer(format: str) -> Callable[[Path, Recipe, TaskSpec, Iterator[Episode]], None]:  # noqa: A002
     """What writes a format; an error that names the extra where it is not installed."""
     try:
         if format == "minari":
@@ -192,7 +245,10 @@ def _episodes(partial: Path) -> Iterator[Episode]:
 
 
 def _collect(
-    session: TrocarVectorEnv, partial: Path, recipe: Recipe, progress: Callable[[int, int], None]
+    source: _Expert | _Person,
+    partial: Path,
+    recipe: Recipe,
+    progress: Callable[[int, int], None],
 ) -> int:
     """Runs what was not run yet; how many episodes are kept in all.
 
@@ -206,9 +262,9 @@ def _collect(
     progress(done, kept)
     while done < recipe.episodes:
         # Environments too many for the rest run episodes that are dropped.
-        count = min(session.num_envs, recipe.episodes - done)
-        seeds = [check_seed(recipe.seed + done + row) for row in range(session.num_envs)]
-        episodes = run(session, seeds)[:count]
+        count = min(source.count, recipe.episodes - done)
+        seeds = [check_seed(recipe.seed + done + row) for row in range(source.count)]
+        episodes = source.run(seeds)[:count]
         good = [episode for episode in episodes if recipe.keeps_failures or episode.succeeded]
         save(partial / f"{done:08}-{done + count:08}.npz", good)
         done, kept = done + count, kept + len(good)

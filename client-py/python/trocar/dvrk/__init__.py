@@ -23,8 +23,10 @@ from typing import Any
 from trocar.dvrk import crtk
 from trocar.dvrk._world import World, current, use
 from trocar.dvrk.arms import arm, console, ecm, psm, system
+from trocar.dvrk.env import LiveEnv
 
 __all__ = [
+    "LiveEnv",
     "World",
     "arm",
     "console",

@@ -1,6 +1,6 @@
 //! An arm that is driven from outside, by joints.
 
-use super::PsmArm;
+use super::{Commanded, PsmArm};
 use crate::robots::Psm;
 use crate::sim::frames::Pose;
 use crate::sim::instrument::{JAW_CLOSED, Posture};
@@ -54,6 +54,23 @@ impl PsmArm {
     pub fn jaw_near(&self, world: &World, asked: f64) -> f64 {
         let opening = self.opening(world);
         if opening < SHUT { asked.min(opening) } else { opening }
+    }
+
+    /// Where an action asks the sensed wrist to be, as far as the arm may go there, and how far the jaws to be open, rad.
+    pub fn aim(&self, action: &[f32]) -> (Pose, f64) {
+        let (target, asked) = self.decode(action);
+        let (joints, _) = self.reachable(target);
+        (self.pose_at(&joints), self.turned(asked))
+    }
+
+    /// The action that brings the arm from a sensed wrist and opening of the jaws to others, as near as one can.
+    pub fn action_between(&self, from: &(Pose, f64), to: &(Pose, f64)) -> Vec<f32> {
+        let mut arm = self.clone();
+        let joints = self.solve(&from.0).unwrap_or(self.commanded.joints);
+        arm.commanded = Commanded { joints, scene_from_wrist: from.0, jaw: from.1 };
+        let mut action = vec![0.0; self.action_len()];
+        arm.encode(&to.0, to.1, &mut action);
+        action
     }
 
     /// Takes note of what the joint sensors report, rad; index 2 in m, and whether the arm is elsewhere than it was
