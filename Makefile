@@ -85,6 +85,10 @@ picture-viewer: $(VENV)/ready ## * assets/pictures/viewer.png: the live viewer, 
 	$(CARGO) build --release --locked -p trocar
 	TROCAR_BINARY=$(TARGET)/release/trocar $(BIN)/python server/view/tests/test_viewer.py assets/pictures/viewer.png
 
+.PHONY: picture-frames
+picture-frames: develop $(PLOT_VENV)/ready ## * assets/pictures/frames.png: which frames dVRK scripts are about
+	TROCAR_BINARY=$(TARGET)/debug/trocar $(PLOT_VENV)/bin/python client-py/examples/dvrk_frames.py assets/pictures/frames.png
+
 # What it is built from has its hash in page.sha256, so that a build sees without Node whether it is stale.
 .PHONY: viewer
 viewer: ## server/view/page.html: builds the page of the live viewer anew; needs Node >= 20 with npm
@@ -315,6 +319,7 @@ develop: $(VENV)/ready
 $(PLOT_VENV)/ready: client-py/requirements-bench.lock
 	$(PYTHON) -m venv --clear $(PLOT_VENV)
 	$(PLOT_VENV)/bin/python $(PIP_INSTALL) --require-hashes -r $<
+	$(LINK)
 	touch $@
 
 $(VENV)/ready: client-py/requirements-dev.lock

@@ -1,7 +1,7 @@
 //! What dVRK's own test scripts do (A1 to A14, B1 to B12 in comments), in live worlds over shared memory: times of the
 //! closed form, limits at every tick, refusals.
 
-use trocar_client::proto::dvrk::{Command, Event, Report, StateCommand, TICKS_PER_SECOND};
+use trocar_client::proto::dvrk::{Command, Event, Report, State, StateCommand, TICKS_PER_SECOND};
 use trocar_server::robots::Psm;
 
 use crate::harness::Server;
@@ -113,6 +113,17 @@ fn servoed_set_points_are_followed() {
     let complaints = script.complaints();
     assert!(complaints[0].contains("arm not ready: it is DISABLED"), "{complaints:?}");
     assert_eq!(script.arm("PSM1").measured_position, held);
+    // B6: a jump that the arm does not follow is a fault, from which it recovers.
+    script.enable_and_home("PSM1");
+    script.heard.clear();
+    let start = script.arm("PSM1").measured_position;
+    script.send("PSM1", &Command::servo_jp(&moved(&start[..6], &[(0, -60.0 * DEGREE)])));
+    script.advance(2);
+    assert_eq!(script.state("PSM1").state, State::Fault);
+    let complaints = script.complaints();
+    assert!(complaints[0].contains("tracking error: yaw"), "{complaints:?}");
+    script.enable_and_home("PSM1");
+    assert_eq!(script.state("PSM1").state, State::Enabled);
 }
 
 #[test]

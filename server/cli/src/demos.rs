@@ -110,14 +110,9 @@ impl Demos {
         let options = self.checked_options()?;
         let python = python();
         let mut command = Command::new(&python);
-        command.args([
-            "-c",
-            PROGRAM,
-            "--task",
-            &self.task,
-            "--speed",
-            &self.hands.speed.to_string(),
-        ]);
+        let name = if self.hands.by_hand { "hand-v0" } else { "expert-v0" };
+        let name = self.name.as_deref().unwrap_or(name);
+        command.args(["-c", PROGRAM, "--task", &self.task, "--name", name]);
         command.args(["--format", self.format.to_possible_value().expect("all are").get_name()]);
         command.arg("--out").arg(&self.out);
         let numbers = [
@@ -128,14 +123,13 @@ impl Demos {
         for (flag, number) in numbers {
             command.args([flag, &number.to_string()]);
         }
-        if let Some(name) = &self.name {
-            command.args(["--name", name]);
+        if self.hands.by_hand {
+            command.args(["--by-hand", "--speed", &self.hands.speed.to_string()]);
         }
         if let Some(steps) = self.hands.max_steps {
             command.args(["--max-steps", &steps.to_string()]);
         }
         let switches = [
-            ("--by-hand", self.hands.by_hand),
             ("--keep-failures", self.keep_failures),
             ("--resume", self.resume),
             ("--json", self.json),

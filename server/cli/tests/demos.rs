@@ -53,6 +53,8 @@ fn python_is_told_what_was_asked_for() {
     let flags = ["--task", "NeedlePick-v0", "--episodes", "7", "--out", "data", "--resume"];
     let options = ["--grasp", "approx", "--grasp-distance", "0.001", "--keep-failures", "--json"];
     let output = demos(python.to_str().unwrap(), &[&flags[..], &options[..]].concat());
+    let by_hand = ["--task", "NeedlePick-v0", "--by-hand", "--speed", "0.5", "--max-steps", "90"];
+    let by_hand = demos(python.to_str().unwrap(), &by_hand);
     std::fs::remove_dir_all(&folder).unwrap();
     assert_eq!(output.status.code(), Some(5), "its exit code is ours");
     let said = String::from_utf8(output.stdout).unwrap();
@@ -60,4 +62,8 @@ fn python_is_told_what_was_asked_for() {
                     --seed 0 --envs 16 --keep-failures --resume --json --options \
                     {\"grasp\":\"approx\",\"grasp_distance\":0.001}";
     assert_eq!(said.trim(), format!("{} {expected}", env!("CARGO_BIN_EXE_trocar")));
+    let said = String::from_utf8(by_hand.stdout).unwrap();
+    for part in ["--name hand-v0", "--by-hand --speed 0.5 --max-steps 90"] {
+        assert!(said.contains(part), "{said}");
+    }
 }
