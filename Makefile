@@ -9,10 +9,9 @@ MAKEFLAGS += --no-builtin-rules
 
 # The bindings are built by maturin only: in one build with the rest, the features they ask of shared
 # crates would make cargo build the physics twice, once with and once without them. The trainer in Rust brings
-# a hundred crates that nothing else needs; `test-rl` runs it. So does the node of ROS 2, which `test-ros2` builds with the
-# features of all others, so that nothing is built twice.
-RUST_AND_ROS2 := --workspace --exclude trocar-py --exclude train-reach --locked
-RUST := $(RUST_AND_ROS2) --exclude trocar-ros2
+# a hundred crates that nothing else needs; `test-rl` runs it. So does the node of ROS 2, which `test-ros2` builds apart, for
+# the same reason as the bindings.
+RUST := --workspace --exclude trocar-py --exclude train-reach --exclude trocar-ros2 --locked
 
 PYTHON ?= python3
 CARGO ?= cargo
@@ -114,8 +113,9 @@ bits: ## server/tests/fixtures/bits.bin: records its episodes anew; only when ph
 # ---- Checking ----
 
 .PHONY: test
-test: lint test-rust test-loom test-python test-wheels ## * all that CI runs: lints, Rust, Python, wheels; test-faults where strace is
-	@if command -v strace > /dev/null; then $(MAKE) test-faults; else echo 'left out: test-faults needs strace (apt install strace)'; fi
+test: lint test-rust test-loom test-python ## * all that CI runs: lints, Rust, Python, wheels; test-faults where strace is
+	@command -v strace > /dev/null || echo 'left out: test-faults needs strace (apt install strace)'
+	@$(MAKE) --jobs=2 --output-sync=target test-wheels $$(command -v strace > /dev/null && echo test-faults)
 
 # Leaves out what takes minutes: experts over many seeds, adversaries, killed processes, packages.
 FAST_SKIP := $(foreach name,bits:: experts:: robustness:: render:: grasp:: nothing_explodes every_option,--skip $(name))
@@ -194,7 +194,7 @@ test-browser: lint-viewer $(VENV)/ready ## * the live viewer in a headless Chrom
 # In a network of its own, where nothing else is found and nothing gets out.
 .PHONY: test-ros2
 test-ros2: ## * `trocar dvrk` against rclpy over ROS 2; needs Python 3.11, C++, unshare, ip; 400 MB of packages
-	PYTHON=$(PYTHON) TARGET=$(TARGET) CARGO="$(CARGO)" FEATURES="$(RUST_AND_ROS2)" tests/ros2/run
+	PYTHON=$(PYTHON) TARGET=$(TARGET) CARGO="$(CARGO)" RUST="$(RUST)" tests/ros2/run
 
 .PHONY: test-rl
 test-rl: develop .venv-rl/ready .venv-rllib/ready ## * SB3, TorchRL, CleanRL, RLlib: tests, examples; fetches 5 GB
