@@ -206,7 +206,7 @@ impl SharedWorld {
     /// Brings the world back to a state that was kept. Time goes on from where it is.
     pub(super) fn restore(&self, driver: Driver, saved: &SavedWorld) -> Result<(), Rejection> {
         let mut state = self.lock();
-        self.check_alone(&state, driver)?;
+        self.check_alone(&state, driver, |_| false)?;
         state.go_on_from(saved.clone());
         Ok(())
     }
@@ -214,23 +214,28 @@ impl SharedWorld {
     /// Begins the first episode of a seed. Time goes on from where it is; a page that took the arms over lets go.
     pub(super) fn reset(&self, driver: Driver, seed: u64) -> Result<(), Rejection> {
         let mut state = self.lock();
+        self.check_alone(&state, driver, |other| other.takes_over(driver))?;
+        let env = state.world.clone().into_env();
+        state.go_on_from(begun(env, &self.request, seed)?);
         for place in &mut state.drivers {
             place.take_if(|other| other.takes_over(driver));
         }
-        self.check_alone(&state, driver)?;
-        let env = state.world.clone().into_env();
-        state.go_on_from(begun(env, &self.request, seed)?);
         Ok(())
     }
 
-    /// Whether a driver may bring the world into another state: no other drives an arm.
-    fn check_alone(&self, state: &WorldState, driver: Driver) -> Result<(), Rejection> {
+    /// Whether a driver may bring the world into another state: no other drives an arm, but for those that may.
+    fn check_alone(
+        &self,
+        state: &WorldState,
+        driver: Driver,
+        may: impl Fn(Driver) -> bool,
+    ) -> Result<(), Rejection> {
         if let Some(over) = state.over.as_ref().filter(|over| over.code == Code::UnknownSession) {
             return Err(over.clone());
         }
         let others = state.drivers.iter().zip(&self.info.arms);
         let mut others = others.filter_map(|(other, arm)| Some((other.as_ref()?, &arm.name)));
-        match others.find(|(other, _)| **other != driver) {
+        match others.find(|(other, _)| **other != driver && !may(**other)) {
             Some((other, name)) => Err(other.refusal(name)),
             None => Ok(()),
         }
