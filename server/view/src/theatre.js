@@ -66,6 +66,8 @@ export class Theatre {
     this.#renderer = renderer;
     this.#scene.background = new Color(BACKDROP);
     const room = new PMREMGenerator(renderer);
+    // Its least size, 256 px a face, would keep a page without a graphics processor for four seconds.
+    if (this.#isSlow) room._setSize = () => (room._cubeSize = 64);
     this.#scene.environment = room.fromScene(new RoomEnvironment(), 0.03).texture;
     this.#scene.environmentIntensity = 0.36;
     room.dispose();
@@ -331,9 +333,11 @@ export class Theatre {
   /** Draws what the endoscope sees onto a canvas of its own: first, onto a corner that the theatre covers. */
   #drawEndoscope() {
     if (!this.inset || !this.#endoscope) return;
-    const { width, height } = this.inset;
+    // As fine as the corner allows, which a slow machine makes coarse.
+    const { width: wide, height: high } = this.inset;
+    const scale = Math.min(1, this.#canvas.width / wide, this.#canvas.height / high);
+    const width = Math.floor(wide * scale), height = Math.floor(high * scale);
     const ratio = this.#renderer.getPixelRatio();
-    if (this.#canvas.width < width || this.#canvas.height < height) return;
     const showsContacts = this.showsContacts;
     this.#contacts.group.visible = false;
     atEndoscope(this.#lens, this.#endoscope);
@@ -343,7 +347,7 @@ export class Theatre {
     this.#renderer.setScissor(0, 0, width / ratio, height / ratio);
     this.#renderer.setScissorTest(true);
     this.#renderer.render(this.#scene, this.#lens);
-    this.inset.getContext("2d").drawImage(this.#canvas, 0, this.#canvas.height - height, width, height, 0, 0, width, height);
+    this.inset.getContext("2d").drawImage(this.#canvas, 0, this.#canvas.height - height, width, height, 0, 0, wide, high);
     this.#renderer.setScissorTest(false);
     this.#renderer.setViewport(0, 0, this.#canvas.width / ratio, this.#canvas.height / ratio);
     this.#contacts.group.visible = showsContacts;
@@ -374,10 +378,12 @@ function sphereOf(part) {
   return part.geometry.boundingSphere.clone().applyMatrix4(part.matrixWorld);
 }
 
-/** Whether nothing but the processor draws here. */
+/** Whether nothing but the processor draws here. Not all browsers that do so say that it is slow. */
 function drawsInSoftware() {
   const canvas = document.createElement("canvas");
-  return !canvas.getContext("webgl2", { failIfMajorPerformanceCaveat: true });
+  const context = canvas.getContext("webgl2", { failIfMajorPerformanceCaveat: true });
+  const names = context?.getExtension("WEBGL_debug_renderer_info");
+  return !context || /swiftshader|llvmpipe|software/i.test(context.getParameter(names?.UNMASKED_RENDERER_WEBGL ?? context.RENDERER));
 }
 
 /** Puts a camera where the endoscope is. */
