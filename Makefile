@@ -7,11 +7,10 @@ SHELL := bash
 .DELETE_ON_ERROR:
 MAKEFLAGS += --no-builtin-rules
 
-# The bindings are built by maturin only: in one build with the rest, the features they ask of shared
-# crates would make cargo build the physics twice, once with and once without them. The trainer in Rust brings
-# a hundred crates that nothing else needs; `test-rl` runs it. So does the node of ROS 2, which `test-ros2` builds apart, for
-# the same reason as the bindings.
-RUST := --workspace --exclude trocar-py --exclude train-reach --exclude trocar-ros2 --locked
+# What is built together, so that shared crates are built once: which features they get depends on who is. The bindings
+# are built by maturin only: the features they ask of shared crates would make cargo build the physics twice, once with and
+# once without them. The trainer in Rust brings a hundred crates that nothing else needs; `test-rl` runs it.
+RUST := --workspace --exclude trocar-py --exclude train-reach --locked
 
 PYTHON ?= python3
 CARGO ?= cargo
@@ -77,7 +76,7 @@ policies: .venv-rl/ready ## * assets/policies: the best policies of the runs in 
 # What `experts_do_as_well_as_the_table_says_and_stay_in_bounds` expects.
 .PHONY: experts
 experts: ## server/tests/fixtures/experts.tsv: with which seeds the scripted experts fail
-	TROCAR_WRITE_EXPERTS=1 $(CARGO) test --locked -p trocar-server --test server experts::
+	TROCAR_WRITE_EXPERTS=1 $(CARGO) test $(RUST) --test server experts::
 
 .PHONY: picture-viewer
 picture-viewer: $(VENV)/ready ## * assets/pictures/viewer.png: the live viewer, as test-browser sees it
@@ -108,7 +107,7 @@ experts-table: ## how often the scripted experts succeed with arms that are late
 # TROCAR_BITS=starts: only the episodes whose start is the expert's work; =tasks: only those of tasks that are new.
 .PHONY: bits
 bits: ## server/tests/fixtures/bits.bin: records its episodes anew; only when physics changes on purpose
-	TROCAR_BITS=$${TROCAR_BITS:-all} $(CARGO) test --locked -p trocar-server --test server -- --ignored --exact bits::write_the_file
+	TROCAR_BITS=$${TROCAR_BITS:-all} $(CARGO) test $(RUST) --test server -- --ignored --exact bits::write_the_file
 
 # ---- Checking ----
 
@@ -124,8 +123,8 @@ FAST_PYTHON := $(addprefix tests/test_,$(addsuffix .py,arrays conventions env er
 .PHONY: test-fast
 test-fast: lint-prose develop ## * the inner loop: unit tests, the suite and clients, in three minutes once all is built
 	$(CARGO) test $(RUST) --lib --bins
-	$(CARGO) test --locked -p trocar-server --test server -- $(FAST_SKIP)
-	TROCAR_BINARY=$(TARGET)/debug/trocar $(CARGO) test --locked -p trocar-tests --test trocar -- conformance:: parity:: rows:: refusals::
+	$(CARGO) test $(RUST) --test server -- $(FAST_SKIP)
+	TROCAR_BINARY=$(TARGET)/debug/trocar $(CARGO) test $(RUST) --test trocar -- conformance:: parity:: rows:: refusals::
 	cd client-py && TROCAR_BINARY=$(TARGET)/debug/trocar $(BIN)/python -m pytest -q $(FAST_PYTHON)
 
 .PHONY: lint
@@ -134,8 +133,8 @@ lint: lint-rust lint-python lint-viewer lint-prose ## * formatting, clippy, ruff
 .PHONY: lint-rust
 lint-rust:
 	$(CARGO) fmt --all --check
-	$(CARGO) clippy --workspace --exclude trocar-ros2 --all-targets --locked -- -D warnings
-	RUSTDOCFLAGS="-D warnings -A rustdoc::private_intra_doc_links -A rustdoc::redundant_explicit_links" $(CARGO) doc --workspace --exclude trocar-ros2 --no-deps --document-private-items --locked
+	$(CARGO) clippy --workspace --all-targets --locked -- -D warnings
+	RUSTDOCFLAGS="-D warnings -A rustdoc::private_intra_doc_links -A rustdoc::redundant_explicit_links" $(CARGO) doc --workspace --no-deps --document-private-items --locked
 
 .PHONY: lint-python
 lint-python: $(VENV)/ready
@@ -168,7 +167,7 @@ test-faults: ## calls of the kernel fail, one after the other, by strace, which 
 .PHONY: test-python
 test-python: develop ## * Python with the newest Gymnasium: types, stubs, tests
 	cd client-py && $(BIN)/mypy && $(BIN)/mypy ../tests/prose.py ../tests/vocabulary.py && for worker in demo bench load; do $(BIN)/mypy ../server/cli/src/$$worker/worker.py; done
-	cd client-py && TROCAR_BINARY=$(TARGET)/debug/trocar $(BIN)/python -m pytest -n auto --maxprocesses 4
+	cd client-py && TROCAR_BINARY=$(TARGET)/debug/trocar $(BIN)/python -m pytest -n auto --maxprocesses 4 --dist worksteal
 	TROCAR_PYTHON=$(BIN)/python $(CARGO) test $(RUST) --test load python_clients
 
 .PHONY: test-wheels

@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 
+use rayon::prelude::*;
 use trocar_proto::snapshot::Recipe;
 use trocar_proto::spec::{Allowed, Element, OptionValue};
 use trocar_proto::{Code, Options, TaskSpec};
@@ -513,7 +514,7 @@ fn environments_side_by_side_are_as_if_each_were_alone() {
 
 #[test]
 fn nothing_explodes_under_adversarial_actions() {
-    for variant in variants() {
+    variants().into_par_iter().for_each(|variant| {
         let mut env = make(&variant);
         let mut actions = Actions::new(9);
         let metres = if variant.1.text("preset") == Some("surrol") { 5.0 } else { 1.0 };
@@ -535,7 +536,7 @@ fn nothing_explodes_under_adversarial_actions() {
                 before = now;
             }
         }
-    }
+    });
 }
 
 #[test]
