@@ -112,7 +112,10 @@ bits: ## server/tests/fixtures/bits.bin: records its episodes anew; only when ph
 # ---- Checking ----
 
 .PHONY: test
-test: lint test-rust test-loom test-python ## * all that CI runs: lints, Rust, Python, wheels; test-faults where strace is
+test: lint ## * all that CI runs: lints, Rust, Python, wheels; test-faults where strace is
+	@# Cargo builds the bindings once the first tests run, which wait most of the time: until then it waits for their build.
+	@$(MAKE) test-rust & tests=$$!; nice $(MAKE) bindings || failed=yes; wait $$tests && [ -z "$${failed:-}" ]
+	@$(MAKE) test-loom test-python
 	@command -v strace > /dev/null || echo 'left out: test-faults needs strace (apt install strace)'
 	@$(MAKE) --jobs=2 --output-sync=target test-wheels $$(command -v strace > /dev/null && echo test-faults)
 
@@ -313,6 +316,10 @@ clean: ## removes all that the targets above made
 .PHONY: develop
 develop: $(VENV)/ready
 	$(CARGO) build $(RUST) --bin trocar --example own_task
+	$(DEVELOP)
+
+.PHONY: bindings
+bindings: $(VENV)/ready
 	$(DEVELOP)
 
 $(PLOT_VENV)/ready: client-py/requirements-bench.lock
