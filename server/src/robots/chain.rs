@@ -170,7 +170,8 @@ impl<const N: usize> Chain<N> {
 
     /// The last link frame in the base frame.
     pub fn end(&self, q: &[f64; N]) -> Frame {
-        self.frames(q)[N - 1]
+        let links = self.links.iter().zip(q);
+        links.fold(Frame::IDENTITY, |frame, (link, q)| frame.then(&link.parent_from_link(*q)))
     }
 
     /// The geometric Jacobian at the last frame's origin in base axes: rows are linear velocity
