@@ -16,7 +16,8 @@ use nalgebra::{Point3, Unit, UnitQuaternion, Vector3};
 
 use super::frames::{self, Aabb, Pose};
 use super::world::{
-    AttachmentId, BodyId, Hinge, HingedId, Motion, Overlap, PREDICTION, Part, Push, Shape, World,
+    AttachmentId, BodyId, Hinge, HingedId, JawMotor, Motion, Overlap, PREDICTION, Part, Push,
+    Shape, SoftId, World,
 };
 use crate::robots::Psm;
 
@@ -44,6 +45,32 @@ const REACH_OF_OBJECTS: f64 = 8e-3;
 /// Half extents of a finger, m: across (along the hinge), thickness, length. Source: the
 /// original's collision box, 1.4 mm × 10.2 mm × 1.8 mm.
 pub const FINGER_HALF: Vector3<f64> = Vector3::new(0.9e-3, 0.7e-3, 5.1e-3);
+
+/// What an instrument has at the end of its wrist.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Jaws {
+    /// Half extents of a finger, m: across (along the hinge), thickness, length.
+    pub finger_half: Vector3<f64>,
+    /// Whether soft bodies meet fingers that are profiled.
+    pub is_profiled: bool,
+}
+
+impl Jaws {
+    /// Of a needle driver.
+    pub const NEEDLE_DRIVER: Self = Self { finger_half: FINGER_HALF, is_profiled: false };
+
+    /// Of a tissue forceps: broad and profiled, as those of ProGrasp and Cadière forceps. They end where those of
+    /// the needle driver do, since kinematics are those of the arm.
+    pub const TISSUE_FORCEPS: Self =
+        Self { finger_half: Vector3::new(2.5e-3, 0.75e-3, 5.1e-3), is_profiled: true };
+
+    /// A finger in its own frame: hinge at the origin, length along z.
+    fn finger_box(&self, side: f64) -> Aabb {
+        let half = self.finger_half;
+        let centre = Vector3::new(0.0, side * half.y, half.z);
+        Aabb { min: centre - half, max: centre + half }
+    }
+}
 
 /// Radius of the clevis between the wrist's pitch and yaw axes, m (8 mm shaft, tapered).
 const CLEVIS_RADIUS: f64 = 2.5e-3;
@@ -110,13 +137,14 @@ impl Posture {
     }
 
     /// A box around fingers and clevis.
-    fn aabb(&self) -> Aabb {
-        self.aabb_with(SIDES.map(|side| self.world_from_finger(side)))
+    fn aabb(&self, jaws: &Jaws) -> Aabb {
+        self.aabb_with(jaws, SIDES.map(|side| self.world_from_finger(side)))
     }
 
     /// A box around fingers that are there, and the clevis.
-    fn aabb_with(&self, world_from_fingers: [Pose; 2]) -> Aabb {
-        let finger = |index: usize| finger_box(SIDES[index]).placed(&world_from_fingers[index]);
+    fn aabb_with(&self, jaws: &Jaws, world_from_fingers: [Pose; 2]) -> Aabb {
+        let finger =
+            |index: usize| jaws.finger_box(SIDES[index]).placed(&world_from_fingers[index]);
         let fingers = [finger(0), finger(1)];
         let clevis = Aabb::around(clevis_ends().map(|end| self.world_from_wrist * end));
         fingers[0].merged(&fingers[1]).merged(&clevis.grown(CLEVIS_RADIUS))
@@ -126,6 +154,7 @@ impl Posture {
 /// The bodies of an instrument and where they are.
 #[derive(Debug, Clone)]
 pub struct Instrument {
+    jaws: Jaws,
     wrist: BodyId,
     fingers: Fingers,
     posture: Posture,
@@ -150,6 +179,11 @@ impl Instrument {
     /// Puts an instrument into the world whose fingers squeeze with `squeeze` each, N; where that
     /// is infinite, the jaws are locked at the angle that is asked for.
     pub fn insert(world: &mut World, posture: Posture, squeeze: f64) -> Self {
+        Self::with_jaws(world, posture, squeeze, Jaws::NEEDLE_DRIVER)
+    }
+
+    /// The same with other jaws than a needle driver's.
+    pub fn with_jaws(world: &mut World, posture: Posture, squeeze: f64, jaws: Jaws) -> Self {
         let [a, b] = clevis_ends();
         let clevis = Part {
             body_from_part: Pose::identity(),
@@ -157,8 +191,8 @@ impl Instrument {
         };
         let wrist = world.insert(Motion::Driven, &posture.world_from_wrist, FRICTION, &[clevis]);
         let finger = |side| Part {
-            body_from_part: Pose::from(finger_box(side).centre()),
-            shape: Shape::Cuboid(FINGER_HALF),
+            body_from_part: Pose::from(jaws.finger_box(side).centre()),
+            shape: Shape::Cuboid(jaws.finger_half),
         };
         let fingers = if squeeze.is_finite() {
             Fingers::Gripping {
@@ -172,7 +206,11 @@ impl Instrument {
                 world.insert(Motion::Driven, &pose, FRICTION, &[finger(side)])
             }))
         };
-        Self { wrist, fingers, posture, attached: None, stale: true }
+        let instrument = Self { jaws, wrist, fingers, posture, attached: None, stale: true };
+        if jaws.is_profiled {
+            instrument.finger_bodies().iter().for_each(|finger| world.set_profiled(*finger));
+        }
+        instrument
     }
 
     /// Where it is, with the jaw angle that is asked for.
@@ -236,6 +274,23 @@ impl Instrument {
         forces.into_iter().fold(0.0, f64::max)
     }
 
+    /// How many of its fingers press on a soft body.
+    pub fn fingers_on(&self, world: &World, soft: SoftId) -> usize {
+        if self.stale {
+            return 0;
+        }
+        let presses = |finger: &&BodyId| world.soft_pressure(soft, **finger) > 0.0;
+        self.finger_bodies().iter().filter(presses).count()
+    }
+
+    /// The force of a soft body on both fingers together, N, friction included.
+    pub fn force_of(&self, world: &World, soft: SoftId) -> Vector3<f64> {
+        if self.stale {
+            return Vector3::zeros();
+        }
+        self.finger_bodies().iter().map(|finger| world.soft_force(soft, *finger)).sum()
+    }
+
     /// Whether `object` is attached to the wrist.
     pub fn is_tied_to(&self, object: BodyId) -> bool {
         self.attached.is_some_and(|(attached, _)| attached == object)
@@ -270,7 +325,7 @@ impl Instrument {
         /// A finger turns by 2.5° from one opening looked at to the next: less than 3 µm are missed.
         const OPENINGS: u32 = 8;
         let world_from_wrist = Pose::from_parts(Vector3::zeros().into(), *world_from_wrist);
-        let depth = |jaw: f64| -Posture { world_from_wrist, jaw }.aabb().min.z;
+        let depth = |jaw: f64| -Posture { world_from_wrist, jaw }.aabb(&self.jaws).min.z;
         match self.fingers {
             Fingers::Locked(_) => depth(self.posture.jaw),
             Fingers::Gripping { .. } => (0..=OPENINGS)
@@ -293,12 +348,12 @@ impl Instrument {
 
     /// A box around all that it passes through on its way to `end`, m.
     pub(super) fn swept(&self, world: &World, end: &Posture) -> Aabb {
-        let planned = self.posture.aabb().merged(&end.aabb());
+        let planned = self.posture.aabb(&self.jaws).merged(&end.aabb(&self.jaws));
         if self.stale {
             return planned;
         }
         let fingers = self.finger_bodies().map(|finger| world.pose(finger));
-        planned.merged(&self.posture.aabb_with(fingers))
+        planned.merged(&self.posture.aabb_with(&self.jaws, fingers))
     }
 
     /// Whether it meets nothing in the volume that it sweeps.
@@ -360,7 +415,7 @@ impl Instrument {
         [self.wrist, left, right]
     }
 
-    fn finger_bodies(&self) -> [BodyId; 2] {
+    pub(super) fn finger_bodies(&self) -> [BodyId; 2] {
         match &self.fingers {
             Fingers::Locked(fingers) => *fingers,
             Fingers::Gripping { fingers: [left, right], .. } => [left.body(), right.body()],
@@ -381,22 +436,22 @@ impl Instrument {
                 }
             }
             Fingers::Gripping { fingers, deflection } => {
-                let [left, right] = fingers.each_ref().map(|finger| world.hinge_angle(finger));
-                let (opening, aside) = (0.5 * (left + right), 0.5 * (left - right));
-                // Closed fingers lie on each other: nothing closes them further.
-                let least = if opening < 0.0 { 0.0 } else { opening - deflection };
-                let most = (opening + deflection).max(least);
-                let opening = if crushes { most } else { f64::clamp(0.5 * next.jaw, least, most) };
-                let most = YAW * deflection;
-                let aside =
-                    if crushes { aside } else { f64::clamp(0.0, aside - most, aside + most) };
-                for (finger, angle, target) in
-                    [(&fingers[0], left, opening + aside), (&fingers[1], right, opening - aside)]
+                let motor = JawMotor {
+                    opening: 0.5 * next.jaw,
+                    deflection: *deflection,
+                    most_aside: YAW * deflection,
+                    opens: crushes,
+                };
+                let angles = fingers.each_ref().map(|finger| world.hinge_angle(finger));
+                for ((finger, angle), target) in
+                    fingers.iter().zip(angles).zip(motor.targets(angles))
                 {
                     world.turn_hinged(finger, angle, target);
                     world.carry_hinged(finger, angle, &next.world_from_wrist);
                 }
-                world.resist_rolling(fingers.each_ref().map(HingedId::body));
+                let bodies = fingers.each_ref().map(HingedId::body);
+                world.set_grip(bodies, motor);
+                world.resist_rolling(bodies);
             }
         }
         if let Some((object, _)) = self.attached {
@@ -464,12 +519,6 @@ fn hinge(side: f64) -> Hinge {
 /// Sides of the fingers: the sign of their y axis.
 const SIDES: [f64; 2] = [-1.0, 1.0];
 
-/// A finger in its own frame: hinge at the origin, length along z.
-fn finger_box(side: f64) -> Aabb {
-    let centre = Vector3::new(0.0, side * FINGER_HALF.y, FINGER_HALF.z);
-    Aabb { min: centre - FINGER_HALF, max: centre + FINGER_HALF }
-}
-
 /// The clevis' axis in the wrist frame, from the yaw to the pitch axis of a straight wrist.
 fn clevis_ends() -> [Point3<f64>; 2] {
     [Point3::origin(), Point3::new(0.0, 0.0, -CLEVIS_LENGTH)]
@@ -526,10 +575,12 @@ mod tests {
             let depth = instrument.depth_below_wrist(&posture.world_from_wrist.rotation);
             assert!((depth - TIP_OFFSET).abs() < 1e-12);
         }
-        let aabb = posture.aabb();
+        let jaws = Jaws::NEEDLE_DRIVER;
+        let aabb = posture.aabb(&jaws);
         assert!(aabb.min.z.abs() < 1e-12 && aabb.max.z > TIP_OFFSET + CLEVIS_LENGTH);
         let open = Posture { jaw: JAW_OPEN, ..posture };
-        assert!(open.aabb().max.y > aabb.max.y + 0.5e-3 && open.aabb().min.z > 0.0);
+        let open = open.aabb(&jaws);
+        assert!(open.max.y > aabb.max.y + 0.5e-3 && open.min.z > 0.0);
     }
 
     #[test]

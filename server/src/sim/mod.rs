@@ -8,6 +8,7 @@
 //! | [`motion`] | how instruments move: profiles, what stops them, quiescence |
 //! | [`grasp`] | what holds an object in the jaws: friction, or an attachment |
 //! | [`random`] | the named, portable generator of every episode |
+//! | [`soft`] | bodies that deform: tissue, silicone, gauze |
 //!
 //! Everything outside is in SI units and in f64.
 
@@ -16,4 +17,5 @@ pub mod grasp;
 pub mod instrument;
 pub mod motion;
 pub mod random;
+pub mod soft;
 pub mod world;

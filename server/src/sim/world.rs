@@ -24,6 +24,7 @@ mod points;
 mod rest;
 mod rolling;
 mod sleep;
+mod soft;
 mod spring;
 mod substep;
 #[cfg(test)]
@@ -31,9 +32,10 @@ mod tests;
 
 pub use attachment::AttachmentId;
 pub use contact::{Contact, Overlap, Push};
-pub use hinge::{Hinge, HingedId};
+pub use hinge::{Hinge, HingedId, JawMotor};
 pub use inertia::Inertia;
 pub use non_rigid::{NonRigid, Surface};
+pub use soft::SoftId;
 pub use spring::{Spring, SprungId};
 
 /// Acceleration of free fall, m/s².
@@ -212,6 +214,12 @@ pub struct World {
     free: Vec<RigidBodyHandle>,
     /// The bodies that are not rigid.
     others: Vec<Box<dyn NonRigid>>,
+    /// What soft bodies did to rigid ones in the last substep.
+    soft_touches: Vec<soft::SoftTouch>,
+    /// What turns pairs of fingers.
+    grips: Vec<soft::Grip>,
+    /// The bodies that soft ones meet as profiled jaws.
+    profiled: Vec<RigidBodyHandle>,
     /// Greatest speed of a free object in any substep, engine units.
     fastest: f32,
     fixed: Vec<RigidBodyHandle>,
@@ -255,6 +263,9 @@ impl World {
             impulses: Vec::new(),
             free: Vec::new(),
             others: Vec::new(),
+            soft_touches: Vec::new(),
+            grips: Vec::new(),
+            profiled: Vec::new(),
             fastest: 0.0,
             fixed: Vec::new(),
             static_boxes: Vec::new(),

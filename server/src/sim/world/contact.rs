@@ -5,6 +5,7 @@ use rapier3d::parry::bounding_volume::BoundingVolume;
 use rapier3d::parry::query;
 use rapier3d::prelude::{ColliderHandle, ContactPair, RigidBodyHandle};
 
+use super::soft::SoftTouch;
 use super::substep::ContactImpulse;
 use super::{BodyId, PREDICTION, SUBSTEPS_PER_SECOND, World};
 use crate::sim::frames::{self, Pose, SCALE};
@@ -93,7 +94,12 @@ impl World {
     pub fn pressure(&self, body: BodyId) -> f64 {
         let newtons = SUBSTEPS_PER_SECOND / f64::powi(SCALE, 4);
         let touches = self.impulses.iter().filter(|touch| touch.bodies.contains(&body.0));
-        touches.map(|touch| newtons * f64::from(touch.impulse)).sum()
+        let rigid = touches.map(|touch| newtons * f64::from(touch.impulse));
+        rigid.chain(self.soft_touches_of(body).map(|touch| touch.pressure)).sum()
+    }
+
+    fn soft_touches_of(&self, body: BodyId) -> impl Iterator<Item = &SoftTouch> {
+        self.soft_touches.iter().filter(move |touch| touch.body == body.0)
     }
 
     /// Largest force that any one body, but for those of `own`, exerted on `body` in the last substep, N: along the
@@ -126,7 +132,7 @@ impl World {
             );
             strongest = strongest.max(newtons * sum.norm());
         }
-        strongest
+        self.soft_touches_of(body).map(|touch| touch.pressure).fold(strongest, f64::max)
     }
 
     /// Where bodies pressed on each other in the last substep, to look at. What sleeps presses as it did
@@ -187,6 +193,12 @@ impl World {
             let other = touch.bodies[other];
             if !met.contains(&other) {
                 met.push(other);
+            }
+        }
+        for touch in instrument.iter().flat_map(|own| self.soft_touches_of(*own)) {
+            push.force += touch.force;
+            if touch.force.norm() > push.strongest {
+                (push.strongest, push.point) = (touch.force.norm(), touch.point);
             }
         }
         for body in met {

@@ -3,6 +3,9 @@
 //! The carrier bears all but the turn about the hinge, whatever pushes. So the solver gives a hinged body that one
 //! degree of freedom, with its inertia about the hinge and a motor. The rest is kept by velocities: at the start of a
 //! substep the body gets those that bring it to where its carrier will be.
+//!
+//! Two fingers of an instrument are turned by one [`JawMotor`]. Fingers on a soft body pass the substep beside that
+//! body, in its shorter substeps, with the same motor (`soft.rs`).
 
 use nalgebra::{Unit, UnitQuaternion, Vector3};
 use rapier3d::math::Vector as EngineVector;
@@ -13,12 +16,13 @@ use rapier3d::prelude::{
 };
 
 use super::constraint::{Constraints, Joint, SolverBody, Spatial};
+use super::soft::Passed;
 use super::{BodyId, Part, SUBSTEPS_PER_SECOND, World, collider};
 use crate::sim::frames::{self, Pose, SCALE};
 
 /// Stiffness of the motor per inertia, 1/s²: its frequency is about half the rate of the solver's
 /// iterations over 2π.
-const STIFFNESS: f64 = 1e6;
+pub(super) const STIFFNESS: f64 = 1e6;
 
 /// Distance from a limit below which the solver has a row for it, rad. Nothing turns a finger by as much within
 /// a substep.
@@ -64,9 +68,48 @@ pub(super) struct Hung {
     pub is_near_limit: bool,
     pub angle: f32,
     pub target: f32,
+    /// What came of the substep, where it passed beside a soft body.
+    pub passed: Option<Passed>,
+}
+
+/// What turns a pair of fingers, whose angles grow as they open.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct JawMotor {
+    /// Half the opening that is asked for, rad.
+    pub opening: f64,
+    /// How far the motors' targets may be from where the fingers are, rad: it bounds the torque.
+    pub deflection: f64,
+    /// The same for what keeps both about the middle.
+    pub most_aside: f64,
+    /// Whether the fingers open, whatever is asked for.
+    pub opens: bool,
+}
+
+impl JawMotor {
+    /// The angles to which fingers turn that are at these angles, rad.
+    pub fn targets(&self, [left, right]: [f64; 2]) -> [f64; 2] {
+        let (opening, aside) = (0.5 * (left + right), 0.5 * (left - right));
+        // Closed fingers lie on each other: nothing closes them further.
+        let least = if opening < 0.0 { 0.0 } else { opening - self.deflection };
+        let most = (opening + self.deflection).max(least);
+        let opening = if self.opens { most } else { f64::clamp(self.opening, least, most) };
+        let most = self.most_aside;
+        let aside = if self.opens { aside } else { f64::clamp(0.0, aside - most, aside + most) };
+        [opening + aside, opening - aside]
+    }
 }
 
 impl Hung {
+    /// Where the body is when its carrier is there and it is turned by `angle`, rad.
+    pub(super) fn pose(&self, world_from_carrier: &Pose, angle: f64) -> Pose {
+        world_from_carrier * UnitQuaternion::from_axis_angle(&self.id().axis, angle)
+    }
+
+    fn id(&self) -> HingedId {
+        let axis = Vector3::new(self.axis.x, self.axis.y, self.axis.z).cast();
+        HingedId { body: BodyId(self.body), axis: Unit::new_unchecked(axis) }
+    }
+
     /// What rows can do to the body: they turn it about the hinge.
     pub(super) fn solver_body(&self, body: &RigidBody) -> SolverBody {
         let axis = body.rotation().mul_vec3(self.axis);
@@ -131,6 +174,7 @@ impl World {
             is_near_limit: false,
             angle: 0.0,
             target: 0.0,
+            passed: None,
         });
         HingedId { body: BodyId(body), axis: hinge.axis }
     }
@@ -202,6 +246,11 @@ impl World {
         2.0 * if cosine < 0.0 { libm::atan2(-sine, -cosine) } else { libm::atan2(sine, cosine) }
     }
 
+    /// The same of a hinge.
+    pub(super) fn hung_angle(&self, hung: &Hung) -> f64 {
+        self.hinge_angle(&hung.id())
+    }
+
     fn carrier(&self, hinged: &HingedId) -> BodyId {
         let hinge = self.hinges.iter().find(|hinge| hinge.body == hinged.body.0);
         BodyId(hinge.expect("hinges stay").carrier)
@@ -220,7 +269,7 @@ fn unscaled(rate: &Vector3<f64>) -> EngineVector {
 }
 
 /// Damping of the motor per inertia, 1/s: critical.
-const DAMPING: f64 = 2.0 * 1e3;
+pub(super) const DAMPING: f64 = 2.0 * 1e3;
 
 #[cfg(test)]
 mod tests {

@@ -1,5 +1,7 @@
 //! Bodies of another kind than rigid: what the world, the renderer and snapshots must know of them.
 
+use std::any::Any;
+
 use nalgebra::{Point3, Vector3};
 
 use super::{SUBSTEPS_PER_SECOND, World};
@@ -7,7 +9,7 @@ use crate::sim::frames::Aabb;
 
 /// A body that the engine of rigid bodies does not simulate: tissue, thread. A clone of the world clones it, and
 /// goes on bit by bit like it.
-pub trait NonRigid: Send + Sync {
+pub trait NonRigid: Any + Send + Sync {
     /// Lets `seconds` pass for it, before they pass for the rigid bodies of `world`, which it may push.
     fn advance(&mut self, world: &mut World, seconds: f64);
 
@@ -74,9 +76,14 @@ impl World {
         if self.others.is_empty() {
             return;
         }
+        self.clear_soft_touches();
         let mut others = std::mem::take(&mut self.others);
-        for other in &mut others {
+        for (number, other) in others.iter_mut().enumerate() {
+            let first = self.soft_touches.len();
             other.advance(self, 1.0 / SUBSTEPS_PER_SECOND);
+            for touch in &mut self.soft_touches[first..] {
+                touch.by = number;
+            }
         }
         self.others = others;
     }

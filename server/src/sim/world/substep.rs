@@ -63,10 +63,12 @@ impl World {
             body.is_enabled() && !body.is_sleeping()
         }));
         let free = awake.len();
-        let hinged = self.hinges.iter().map(|hinge| hinge.body);
+        let hinged = self.hinges.iter().filter(|hinge| hinge.passed.is_none());
+        let hinged = hinged.map(|hinge| hinge.body);
         awake.extend(hinged.filter(|body| self.bodies[*body].is_enabled()));
         self.solve(&awake);
         self.finish_driven();
+        self.finish_passed();
         self.let_sleep(&awake[..free]);
         self.bodies.propagate_modified_body_positions_to_colliders(&mut self.colliders);
         self.workspace.awake = awake;

@@ -1,0 +1,216 @@
+//! A soft body in the world: its lattice, its skin, what it touches, and whether it sleeps.
+
+use std::sync::Arc;
+
+use nalgebra::{Point3, Vector3};
+
+use super::contact::Contacts;
+use super::lattice::{Form, Lattice};
+use super::material::Friction;
+use super::proxy::{Motor, Proxy};
+use super::skin::{Place, Skin};
+use crate::sim::frames::{Aabb, Pose};
+use crate::sim::world::{NonRigid, Surface, World};
+
+/// Speed of the fastest node below which a body may fall asleep, m/s.
+const STILL: f64 = 1e-3;
+
+/// Time that counts as none, s: more than rounding.
+const LEAST_STEP: f64 = 1e-8;
+
+/// Time after which a body that hardly moves falls asleep, s.
+const SLEEP_AFTER: f64 = 0.25;
+
+/// Distance at which what moves wakes a body that sleeps, m.
+const WAKE_DISTANCE: f64 = 2e-3;
+
+/// Distance at which bodies are looked at in a step, m, beyond what the body itself covers.
+const REACH: f64 = 1e-3;
+
+/// A soft body.
+#[derive(Clone)]
+pub struct SoftBody {
+    name: &'static str,
+    colour: [f32; 3],
+    pub(super) lattice: Lattice,
+    skin: Arc<Skin>,
+    friction: Friction,
+    contacts: Contacts,
+    /// For how long it has hardly moved, s.
+    still: f64,
+    is_asleep: bool,
+}
+
+impl SoftBody {
+    /// A body at rest with its frame at `world_from_body`, that has this name in masks and this colour (as pictures
+    /// store it).
+    pub fn new(
+        name: &'static str,
+        colour: [f32; 3],
+        form: Arc<Form>,
+        skin: Arc<Skin>,
+        world_from_body: &Pose,
+    ) -> Self {
+        let friction = form.material.friction;
+        let lattice = Lattice::new(form, world_from_body);
+        let contacts = Contacts::default();
+        Self { name, colour, lattice, skin, friction, contacts, still: 0.0, is_asleep: false }
+    }
+
+    /// Its nodes.
+    pub fn lattice(&self) -> &Lattice {
+        &self.lattice
+    }
+
+    /// Where the coordinates of its lattice begin, m.
+    pub(in crate::sim) fn origin(&self) -> Vector3<f64> {
+        self.lattice.origin
+    }
+
+    /// Its skin.
+    pub fn skin(&self) -> &Skin {
+        &self.skin
+    }
+
+    /// Puts it somewhere, undeformed, at rest and awake.
+    pub fn place(&mut self, world_from_body: &Pose) {
+        self.lattice.place(world_from_body);
+        self.contacts.clear();
+        self.wake();
+    }
+
+    /// Gives every node that is not held the velocity that `field` has at its place, m/s.
+    pub fn set_velocity(&mut self, field: impl Fn(&Point3<f64>) -> Vector3<f64>) {
+        self.lattice.set_velocity(field);
+        self.wake();
+    }
+
+    /// Sets its friction coefficients.
+    pub fn set_friction(&mut self, friction: Friction) {
+        self.friction = friction;
+    }
+
+    /// Makes its moduli `stiffness` times those of its material, at most as large.
+    pub fn soften(&mut self, stiffness: f64) {
+        self.lattice.soften(stiffness);
+        self.wake();
+    }
+
+    /// Lets it move again.
+    pub fn wake(&mut self) {
+        (self.still, self.is_asleep) = (0.0, false);
+    }
+
+    /// Where points of it are, m.
+    pub fn points<'a>(&'a self, places: &'a [Place]) -> impl Iterator<Item = Point3<f64>> + 'a {
+        places.iter().map(|place| self.lattice.point(place))
+    }
+
+    /// The share of its elements whose greatest principal strain (stretch − 1) is beyond `strain`.
+    pub fn strained_beyond(&self, strain: f64) -> f64 {
+        let form = self.lattice.form();
+        let (mut all, mut beyond) = (0_u32, 0_u32);
+        for element in form.elements() {
+            let gradient = self.lattice.deformation_gradient(element);
+            // Eigenvalues of FᵀF are squares of principal stretches.
+            let squares = (gradient.transpose() * gradient).symmetric_eigenvalues();
+            all += 1;
+            beyond += u32::from(squares.max().sqrt() > 1.0 + strain);
+        }
+        f64::from(beyond) / f64::from(all.max(1))
+    }
+
+    /// Lets `seconds` pass beside these rigid bodies, whose fingers `motors` turn in pairs.
+    pub(in crate::sim) fn pass(&mut self, seconds: f64, proxies: &mut [Proxy], motors: &[Motor]) {
+        proxies.iter_mut().for_each(Proxy::settle);
+        let reach = (REACH + self.lattice.fastest() * seconds) as f32;
+        let Self { lattice, skin, friction, contacts, .. } = self;
+        contacts.find_candidates(lattice, skin, friction, proxies, reach);
+        let mut left = seconds;
+        while left > LEAST_STEP {
+            let dt = lattice.find_forces(1.0, left);
+            left -= f64::from(dt);
+            lattice.kick(dt);
+            for motor in motors {
+                motor.begin(proxies);
+            }
+            for proxy in &mut *proxies {
+                proxy.begin(dt);
+            }
+            if contacts.are_possible() {
+                contacts.solve(lattice, proxies, dt);
+            }
+            lattice.drift(dt);
+            for proxy in &mut *proxies {
+                proxy.finish(dt);
+            }
+        }
+        if !contacts.are_possible() {
+            contacts.clear();
+        }
+        let may_sleep = !contacts.touches_moving && lattice.fastest() < STILL;
+        self.still = if may_sleep { self.still + seconds } else { 0.0 };
+        self.is_asleep = self.still > SLEEP_AFTER;
+        if self.is_asleep {
+            self.lattice.stop();
+        }
+    }
+
+    /// How deep samples of its skin are in these rigid bodies, m: the deepest.
+    pub(in crate::sim) fn deepest_overlap(&self, mut proxies: Vec<Proxy>) -> f64 {
+        proxies.iter_mut().for_each(Proxy::settle);
+        let mut contacts = Contacts::default();
+        contacts.find_candidates(&self.lattice, &self.skin, &self.friction, &proxies, 0.0);
+        contacts.deepest(&self.lattice, &proxies)
+    }
+}
+
+impl NonRigid for SoftBody {
+    fn advance(&mut self, world: &mut World, seconds: f64) {
+        let bounds = self.bounds();
+        if self.is_asleep {
+            if !world.stirs_in(&bounds.grown(WAKE_DISTANCE)) {
+                return;
+            }
+            self.wake();
+        }
+        let region = bounds.grown(REACH + self.lattice.fastest() * seconds);
+        let (mut proxies, motors) = world.proxies_in(&region, &self.lattice.origin);
+        self.pass(seconds, &mut proxies, &motors);
+        world.absorb(proxies, &self.lattice.origin, self.lattice.fastest());
+    }
+
+    fn bits(&self) -> Box<dyn Iterator<Item = u32> + '_> {
+        let Lattice { x, v, .. } = &self.lattice;
+        let numbers = x.iter().chain(v).flatten().map(|number| number.to_bits());
+        let still = self.still.to_bits();
+        let sleep = [still as u32, (still >> 32) as u32, u32::from(self.is_asleep)];
+        Box::new(numbers.chain(self.contacts.bits()).chain(sleep))
+    }
+
+    fn is_finite(&self) -> bool {
+        self.lattice.is_finite()
+    }
+
+    fn at_rest(&self) -> bool {
+        self.is_asleep
+    }
+
+    fn bounds(&self) -> Aabb {
+        self.lattice.bounds()
+    }
+
+    fn surface(&self) -> Surface {
+        let (vertices, normals) = self.skin.surface(&self.lattice);
+        let triangles = self.skin.triangles.clone();
+        Surface { name: self.name, vertices, normals, triangles, colour: self.colour }
+    }
+
+    fn memory_bytes(&self) -> u64 {
+        size_of::<Self>() as u64 + self.lattice.memory_bytes() + self.contacts.memory_bytes()
+    }
+
+    fn boxed_clone(&self) -> Box<dyn NonRigid> {
+        Box::new(self.clone())
+    }
+}

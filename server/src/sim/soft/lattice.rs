@@ -1,0 +1,377 @@
+//! A lattice of hexahedra: which elements there are, how heavy and stiff they are, and where its nodes are.
+//!
+//! Nodes are stored layer by layer, row by row, as arrays of x, y and z. Elements have the number of their first
+//! corner, so that a layer of elements is one run of memory, and what an element needs lies at fixed distances from
+//! its number. At the end of each row there is an element that has no material. So the kernel reads and writes
+//! [`LANES`] neighbours at once without lists of indices.
+//!
+//! Positions are f32, relative to an [origin](Lattice::origin) in the middle of the body: 4 nm at 50 mm.
+
+use std::sync::Arc;
+
+use nalgebra::{Point3, Vector3};
+
+use super::material::{Material, MaterialError};
+use super::{damping, elasticity};
+use crate::sim::frames::{Aabb, Pose};
+use crate::sim::world::{GRAVITY, SUBSTEPS_PER_SECOND};
+
+/// Elements that are computed at once, whatever the processor has: the order of sums depends on it.
+pub(super) const LANES: usize = 8;
+
+/// Corners of an element; bit 0, 1 and 2 of a corner's number are its place along x, y and z.
+pub(super) const CORNERS: usize = 8;
+
+/// |C|² / 3 up to which elements bear the time step of the material; [`elasticity`] says what it is. Below, steps are even: steps that
+/// follow a vibration feed it.
+const STRETCH: f32 = 1.4;
+
+/// How many times shorter time steps become, at most.
+const SHORTEST: f64 = 8.0;
+
+/// Elements side by side along three axes.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Grid {
+    /// Elements along each axis.
+    pub cells: [usize; 3],
+    /// Edge of an element, m.
+    pub spacing: f64,
+    /// The first corner of the first element, in the body's frame, m.
+    pub min: Vector3<f64>,
+}
+
+impl Grid {
+    /// The fewest elements of this edge that fill a box, m; they stick out alike on both sides.
+    pub fn around(bounds: &Aabb, spacing: f64) -> Self {
+        // A box of 12 mm has three elements of 4 mm, however it was rounded.
+        let count = |length: f64| ((length / spacing - 1e-6).ceil() as usize).max(1);
+        let extents = bounds.extents();
+        let cells = [0, 1, 2].map(|axis| count(extents[axis]));
+        let size = Vector3::from(cells.map(|count| count as f64 * spacing));
+        Self { cells, spacing, min: bounds.centre() - 0.5 * size }
+    }
+
+    /// From a node to the next along each axis.
+    pub fn strides(&self) -> [usize; 3] {
+        let row = self.cells[0] + 1;
+        [1, row, row * (self.cells[1] + 1)]
+    }
+
+    /// Nodes.
+    pub fn nodes(&self) -> usize {
+        self.cells.iter().map(|count| count + 1).product()
+    }
+
+    /// The number of a node, and of the element whose first corner it is.
+    pub fn index(&self, place: [usize; 3]) -> usize {
+        let strides = self.strides();
+        (0..3).map(|axis| place[axis] * strides[axis]).sum()
+    }
+
+    /// Where a node is at rest, in the body's frame, m.
+    pub fn node(&self, place: [usize; 3]) -> Point3<f64> {
+        Point3::from(self.min + self.spacing * Vector3::from(place.map(|count| count as f64)))
+    }
+
+    /// The places of all nodes, in the order of their numbers.
+    pub fn node_places(&self) -> impl Iterator<Item = [usize; 3]> + use<> {
+        places(self.cells.map(|count| count + 1))
+    }
+
+    /// The places of all elements.
+    pub fn cell_places(&self) -> impl Iterator<Item = [usize; 3]> + use<> {
+        places(self.cells)
+    }
+
+    /// From the number of an element to those of its corners.
+    pub fn corner_offsets(&self) -> [usize; CORNERS] {
+        std::array::from_fn(|corner| self.index([corner & 1, corner >> 1 & 1, corner >> 2]))
+    }
+}
+
+fn places(counts: [usize; 3]) -> impl Iterator<Item = [usize; 3]> {
+    let [nx, ny, nz] = counts;
+    (0..nz).flat_map(move |k| (0..ny).flat_map(move |j| (0..nx).map(move |i| [i, j, k])))
+}
+
+/// What does not change while a body moves.
+#[derive(Debug, Clone)]
+pub struct Form {
+    pub(super) grid: Grid,
+    pub(super) material: Material,
+    /// Substeps of the world's substep.
+    pub(super) substeps: u32,
+    /// Shear modulus of each element, Pa, scaled by its fill; 0 where there is none.
+    pub(super) mu: Vec<f32>,
+    /// λ + μ of each element, Pa, scaled by its fill.
+    pub(super) lambda: Vec<f32>,
+    /// Mass of each node, kg.
+    pub(super) mass: Vec<f32>,
+    /// 1/mass of each node, 1/kg; 0 where it is held, or where there is nothing.
+    pub(super) inverse_mass: Vec<f32>,
+    pub(super) has_held_nodes: bool,
+}
+
+impl Form {
+    /// A body of which `fill` tells for each element how much of it there is, 0 to 1.
+    pub fn new(
+        grid: Grid,
+        material: Material,
+        fill: impl Fn([usize; 3]) -> f64,
+    ) -> Result<Self, MaterialError> {
+        let substeps = material.substeps(grid.spacing)?;
+        // Lanes of the last block reach past the last element.
+        let size = grid.nodes() + LANES;
+        let mut mass = vec![0.0_f64; size];
+        let (mut mu, mut lambda) = (vec![0.0; size], vec![0.0; size]);
+        let corner_mass = material.density * grid.spacing.powi(3) / CORNERS as f64;
+        let offsets = grid.corner_offsets();
+        for place in grid.cell_places() {
+            let (element, fill) = (grid.index(place), fill(place));
+            mu[element] = (material.shear_modulus() * fill) as f32;
+            lambda[element] = ((material.lame() + material.shear_modulus()) * fill) as f32;
+            for offset in offsets {
+                mass[element + offset] += corner_mass * fill;
+            }
+        }
+        let inverse = |mass: &f64| if *mass > 0.0 { (1.0 / mass) as f32 } else { 0.0 };
+        let inverse_mass = mass.iter().map(inverse).collect();
+        let mass = mass.into_iter().map(|mass| mass as f32).collect();
+        let has_held_nodes = false;
+        Ok(Self { grid, material, substeps, mu, lambda, mass, inverse_mass, has_held_nodes })
+    }
+
+    /// A box that is filled.
+    pub fn slab(
+        cells: [usize; 3],
+        spacing: f64,
+        material: Material,
+    ) -> Result<Self, MaterialError> {
+        let size = Vector3::from(cells.map(|count| count as f64 * spacing));
+        Self::new(Grid { cells, spacing, min: -0.5 * size }, material, |_| 1.0)
+    }
+
+    /// Holds the nodes at these places where they are, whatever pulls.
+    pub fn hold(&mut self, is_held: impl Fn(&Point3<f64>) -> bool) {
+        for (node, place) in self.grid.node_places().enumerate() {
+            if self.mass[node] > 0.0 && is_held(&self.grid.node(place)) {
+                self.inverse_mass[node] = 0.0;
+                self.has_held_nodes = true;
+            }
+        }
+    }
+
+    /// The elements that are there.
+    pub fn elements(&self) -> impl Iterator<Item = usize> {
+        self.mu.iter().enumerate().filter(|(_, mu)| **mu > 0.0).map(|(element, _)| element)
+    }
+
+    /// Its mass, kg.
+    pub fn mass(&self) -> f64 {
+        self.mass.iter().map(|mass| f64::from(*mass)).sum()
+    }
+}
+
+/// Where the nodes of a body are and how they move.
+#[derive(Debug, Clone)]
+pub struct Lattice {
+    pub(super) form: Arc<Form>,
+    /// Where the coordinates below begin, m; axes are those of the world.
+    pub(super) origin: Vector3<f64>,
+    /// Positions relative to the origin, m: all x, all y, all z.
+    pub(super) x: [Vec<f32>; 3],
+    /// Velocities, m/s.
+    pub(super) v: [Vec<f32>; 3],
+    /// All moduli are this many times those of the form.
+    pub(super) stiffness: f32,
+    forces: Forces,
+}
+
+/// Forces on nodes, N; between substeps they hold nothing.
+#[derive(Debug, Default)]
+struct Forces([Vec<f32>; 3]);
+
+impl Clone for Forces {
+    fn clone(&self) -> Self {
+        Self::default()
+    }
+}
+
+impl Lattice {
+    /// The body at rest, with its frame at `world_from_body`.
+    pub fn new(form: Arc<Form>, world_from_body: &Pose) -> Self {
+        let zeros = || [0, 1, 2].map(|_| vec![0.0; form.mu.len()]);
+        let (x, v) = (zeros(), zeros());
+        let origin = Vector3::zeros();
+        let mut lattice = Self { form, origin, x, v, stiffness: 1.0, forces: Forces::default() };
+        lattice.place(world_from_body);
+        lattice
+    }
+
+    /// Puts it somewhere, undeformed and at rest.
+    pub fn place(&mut self, world_from_body: &Pose) {
+        let grid = self.form.grid;
+        self.origin = world_from_body.translation.vector;
+        for (node, place) in grid.node_places().enumerate() {
+            let at = world_from_body.rotation * grid.node(place);
+            for axis in 0..3 {
+                self.x[axis][node] = at[axis] as f32;
+                self.v[axis][node] = 0.0;
+            }
+        }
+    }
+
+    /// Makes all moduli `stiffness` times as large as those of the material, at most as large.
+    ///
+    /// # Panics
+    /// Where that is not above 0 and at most 1: substeps are those of the material.
+    pub fn soften(&mut self, stiffness: f64) {
+        assert!(stiffness > 0.0 && stiffness <= 1.0, "{stiffness}");
+        self.stiffness = stiffness as f32;
+    }
+
+    /// What does not change of it.
+    pub fn form(&self) -> &Form {
+        &self.form
+    }
+
+    /// Where a node is, m.
+    pub fn node(&self, node: usize) -> Point3<f64> {
+        Point3::from(
+            self.origin + Vector3::from([0, 1, 2].map(|axis| f64::from(self.x[axis][node]))),
+        )
+    }
+
+    /// How a node moves, m/s.
+    pub fn velocity(&self, node: usize) -> Vector3<f64> {
+        Vector3::from([0, 1, 2].map(|axis| f64::from(self.v[axis][node])))
+    }
+
+    /// Gives every node that is not held the velocity that `field` has at its place, m/s.
+    pub fn set_velocity(&mut self, field: impl Fn(&Point3<f64>) -> Vector3<f64>) {
+        for node in 0..self.form.grid.nodes() {
+            if self.form.inverse_mass[node] > 0.0 {
+                let velocity = field(&self.node(node));
+                for axis in 0..3 {
+                    self.v[axis][node] = velocity[axis] as f32;
+                }
+            }
+        }
+    }
+
+    /// Moves every node by what `field` has at its place, m.
+    pub fn displace(&mut self, field: impl Fn(&Point3<f64>) -> Vector3<f64>) {
+        for node in 0..self.form.grid.nodes() {
+            let by = field(&self.node(node));
+            for axis in 0..3 {
+                self.x[axis][node] += by[axis] as f32;
+            }
+        }
+    }
+
+    /// Finds what pulls at nodes where they are: elastic forces, and `gravity` times that of the Earth. Returns the time
+    /// step to take of the `left` (s): as long as the material bears, or shorter where it is much stretched.
+    pub fn find_forces(&mut self, gravity: f32, left: f64) -> f32 {
+        let form = &*self.form;
+        let forces = &mut self.forces.0;
+        for force in forces.iter_mut() {
+            force.clear();
+            force.resize(form.mass.len(), 0.0);
+        }
+        let weight = -gravity * GRAVITY as f32;
+        for (force, mass) in forces[2].iter_mut().zip(&form.mass) {
+            *force = weight * mass;
+        }
+        let stiffest = elasticity::add_forces(form, self.stiffness, &self.x, forces);
+        let longest = 1.0 / (SUBSTEPS_PER_SECOND * f64::from(form.substeps));
+        let stretched = f64::from((stiffest / STRETCH).sqrt());
+        let shortened = longest / stretched.clamp(1.0, SHORTEST);
+        // What is left is shared evenly, however it was rounded.
+        (left / (left / shortened - 1e-6).ceil().max(1.0)) as f32
+    }
+
+    /// Changes velocities by what these forces and damping do in `seconds`.
+    pub fn kick(&mut self, seconds: f32) {
+        let form = &*self.form;
+        for (velocities, forces) in self.v.iter_mut().zip(&self.forces.0) {
+            let nodes = velocities.iter_mut().zip(forces).zip(&form.inverse_mass);
+            for ((velocity, force), inverse_mass) in nodes {
+                *velocity += *force * inverse_mass * seconds;
+            }
+        }
+        let rate = form.material.damping;
+        damping::damp(self, rate, seconds);
+    }
+
+    /// Moves nodes by their velocities.
+    pub fn drift(&mut self, seconds: f32) {
+        for (positions, velocities) in self.x.iter_mut().zip(&self.v) {
+            for (position, velocity) in positions.iter_mut().zip(velocities) {
+                *position += velocity * seconds;
+            }
+        }
+    }
+
+    /// Makes all velocities 0.
+    pub(super) fn stop(&mut self) {
+        self.v.iter_mut().for_each(|velocities| velocities.fill(0.0));
+    }
+
+    /// Memory that its state and its workspace take, bytes; what does not change is shared.
+    pub(super) fn memory_bytes(&self) -> u64 {
+        (9 * self.form.mass.len() * size_of::<f32>()) as u64
+    }
+
+    /// The fastest node's speed, m/s.
+    pub fn fastest(&self) -> f64 {
+        let [x, y, z] = &self.v;
+        let squares = x.iter().zip(y).zip(z).map(|((x, y), z)| x * x + y * y + z * z);
+        f64::from(squares.fold(0.0, f32::max)).sqrt()
+    }
+
+    /// Whether positions and velocities are finite.
+    pub fn is_finite(&self) -> bool {
+        self.x.iter().chain(&self.v).all(|each| each.iter().all(|number| number.is_finite()))
+    }
+
+    /// A box around its nodes, m.
+    pub fn bounds(&self) -> Aabb {
+        let form = &*self.form;
+        let mut bounds = [[f32::INFINITY; 3], [f32::NEG_INFINITY; 3]];
+        for axis in 0..3 {
+            for (x, mass) in self.x[axis].iter().zip(&form.mass) {
+                if *mass > 0.0 {
+                    bounds[0][axis] = bounds[0][axis].min(*x);
+                    bounds[1][axis] = bounds[1][axis].max(*x);
+                }
+            }
+        }
+        let [min, max] = bounds.map(|corner| self.origin + Vector3::from(corner.map(f64::from)));
+        Aabb { min, max }
+    }
+
+    /// The deformation gradient F = ∂x/∂X of an element, in its middle.
+    pub fn deformation_gradient(&self, element: usize) -> nalgebra::Matrix3<f64> {
+        let offsets = self.form.grid.corner_offsets();
+        let scale = 1.0 / (4.0 * self.form.grid.spacing);
+        nalgebra::Matrix3::from_fn(|component, axis| {
+            let corners = offsets.iter().enumerate();
+            let signed = corners.map(|(corner, offset)| {
+                let sign = if corner >> axis & 1 == 1 { scale } else { -scale };
+                sign * f64::from(self.x[component][element + offset])
+            });
+            signed.sum()
+        })
+    }
+
+    /// Momentum and, about the origin of the world, angular momentum, kg·m/s and kg·m²/s.
+    pub fn momentum(&self) -> [Vector3<f64>; 2] {
+        let mut sum = [Vector3::zeros(); 2];
+        for node in 0..self.form.grid.nodes() {
+            let momentum = self.velocity(node) * f64::from(self.form.mass[node]);
+            sum[0] += momentum;
+            sum[1] += self.node(node).coords.cross(&momentum);
+        }
+        sum
+    }
+}

@@ -1,0 +1,39 @@
+//! Soft bodies: tissue, silicone, gauze, by explicit dynamics of a lattice of hexahedra.
+//!
+//! | module | holds |
+//! |---|---|
+//! | [`material`] | moduli, density, friction, strength; how many substeps a material needs |
+//! | [`lattice`] | elements and nodes, their masses, positions and velocities |
+//! | [`elasticity`] | forces: stable neo-Hookean, one point of integration, hourglass stiffness |
+//! | [`damping`] | deformation dies out, momenta stay |
+//! | [`carve`] | a lattice cut from a distance function |
+//! | [`skin`] | triangles that are seen, samples that touch |
+//! | [`proxy`], [`shape`] | rigid bodies in the substeps of soft ones |
+//! | [`contact`] | contacts with them: Coulomb friction, impulses both ways |
+//! | [`body`] | a soft body in the world: what it has of all these, and sleep |
+//!
+//! A time step is v += Δt (f/m + g), then contacts change v, then x += Δt v. Tissue is so soft (2 to 30 kPa) that
+//! pressure waves go at 3 to 9 m/s, and steps of 0.2 to 0.8 ms are stable. Nothing has to converge: rest,
+//! waves and friction are those of the mesh. `docs/decisions.md` has what was measured of other methods.
+//!
+//! Numbers are f32. The order of all sums is fixed and no multiplication is fused with an addition, so the bits
+//! are the same on every processor.
+
+mod body;
+mod carve;
+mod contact;
+mod damping;
+mod elasticity;
+mod lattice;
+mod material;
+pub(in crate::sim) mod proxy;
+mod shape;
+mod skin;
+#[cfg(test)]
+mod tests;
+
+pub use body::SoftBody;
+pub use carve::box_distance;
+pub use lattice::{Form, Grid, Lattice};
+pub use material::{Friction, MOST_SUBSTEPS, Material, MaterialError};
+pub use skin::{Place, Skin};

@@ -1,0 +1,368 @@
+//! Soft bodies in the world: how rigid ones look to them, and what they do to rigid ones.
+//!
+//! Soft bodies pass a substep first, in substeps of their own, beside the rigid bodies near them
+//! ([`Proxy`]). What they did is handed back before the rigid bodies pass the same substep:
+//!
+//! - A pair of fingers that touches nothing rigid has passed it already. The engine puts it where it came to.
+//! - Other fingers get the torque as a change of their rate of turning, free objects both impulses as a change of
+//!   their velocities.
+//! - What is driven gets nothing: its instrument sees the forces ([`World::push_on`]).
+
+use std::any::Any;
+
+use nalgebra::{Matrix3, Point3, UnitQuaternion, Vector3};
+use rapier3d::math::Vector as EngineVector;
+use rapier3d::prelude::{RigidBody, RigidBodyHandle};
+
+use super::hinge::{self, Hung};
+use super::{BodyId, GRAVITY, JawMotor, NonRigid, Part, SUBSTEPS_PER_SECOND, World};
+use crate::sim::frames::{self, Aabb, Pose, SCALE};
+use crate::sim::soft::SoftBody;
+use crate::sim::soft::proxy::{HingeProxy, Load, Motor, PartProxy, Proxy};
+
+/// Speed above which what moves is looked at by soft bodies that sleep, m/s.
+const STIRRING: f64 = 1e-4;
+
+/// Speed of a soft body above which it wakes objects that sleep beside it, m/s.
+const WAKING: f64 = 1e-3;
+
+/// A soft body in the world.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct SoftId(usize);
+
+/// What a soft body did to a rigid one in the last substep.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct SoftTouch {
+    pub body: RigidBodyHandle,
+    pub by: usize,
+    /// Mean force on the rigid body, N, friction included.
+    pub force: Vector3<f64>,
+    /// Sum of all normal forces, from whatever side, N.
+    pub pressure: f64,
+    /// Where, m.
+    pub point: Point3<f64>,
+}
+
+/// A finger that passed the substep beside a soft body.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Passed {
+    angle: f64,
+    rate: f64,
+}
+
+/// A pair of fingers and what turns it.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Grip {
+    fingers: [RigidBodyHandle; 2],
+    motor: JawMotor,
+}
+
+impl World {
+    /// Puts a soft body into the world.
+    pub fn insert_soft(&mut self, body: SoftBody) -> SoftId {
+        self.others.push(Box::new(body));
+        SoftId(self.others.len() - 1)
+    }
+
+    /// A soft body.
+    pub fn soft(&self, id: SoftId) -> &SoftBody {
+        let body: &dyn Any = &*self.others[id.0];
+        body.downcast_ref().expect("bodies stay what they are")
+    }
+
+    /// A soft body, to change it.
+    pub fn soft_mut(&mut self, id: SoftId) -> &mut SoftBody {
+        let body: &mut dyn Any = &mut *self.others[id.0];
+        body.downcast_mut().expect("bodies stay what they are")
+    }
+
+    /// The force of a soft body on a rigid one in the last substep, N, friction included.
+    pub fn soft_force(&self, soft: SoftId, body: BodyId) -> Vector3<f64> {
+        let touches = self.soft_touches.iter();
+        let touches = touches.filter(|touch| touch.by == soft.0 && touch.body == body.0);
+        touches.map(|touch| touch.force).sum()
+    }
+
+    /// How hard a soft body and a rigid one pressed on each other in the last substep, from whatever side, N.
+    pub fn soft_pressure(&self, soft: SoftId, body: BodyId) -> f64 {
+        let touches = self.soft_touches.iter();
+        let touches = touches.filter(|touch| touch.by == soft.0 && touch.body == body.0);
+        touches.map(|touch| touch.pressure).sum()
+    }
+
+    /// How deep a soft body is in rigid ones, m.
+    pub fn soft_overlap(&self, id: SoftId) -> f64 {
+        let soft = self.soft(id);
+        let (proxies, _) = self.proxies_in(&soft.bounds(), &soft.origin());
+        soft.deepest_overlap(proxies)
+    }
+
+    /// Makes soft bodies meet a body as profiled jaws.
+    pub fn set_profiled(&mut self, body: BodyId) {
+        if !self.profiled.contains(&body.0) {
+            self.profiled.push(body.0);
+        }
+    }
+
+    /// Sets what turns a pair of fingers in the substep to come.
+    pub fn set_grip(&mut self, fingers: [BodyId; 2], motor: JawMotor) {
+        let fingers = fingers.map(|finger| finger.0);
+        match self.grips.iter_mut().find(|grip| grip.fingers == fingers) {
+            Some(grip) => grip.motor = motor,
+            None => self.grips.push(Grip { fingers, motor }),
+        }
+    }
+
+    /// Forgets what soft bodies did in the substep before.
+    pub(super) fn clear_soft_touches(&mut self) {
+        self.soft_touches.clear();
+        for hinge in &mut self.hinges {
+            hinge.passed = None;
+        }
+    }
+
+    /// Whether anything that moves is or will be in `region` at the end of the substep, or any finger is there that
+    /// turns.
+    pub(in crate::sim) fn stirs_in(&self, region: &Aabb) -> bool {
+        let stirring = (STIRRING * SCALE) as f32;
+        self.bodies.iter().any(|(handle, body)| {
+            if !body.is_enabled() || body.is_fixed() || (body.is_dynamic() && body.is_sleeping()) {
+                return false;
+            }
+            let next = self.next_pose(handle, body);
+            let is_driven = next != *body.position();
+            let moves =
+                is_driven || body.linvel().length() > stirring || body.angvel().length() > stirring;
+            moves && self.swept(body, &frames::from_engine(&next)).meets(region)
+        })
+    }
+
+    /// The rigid bodies that may be in `region` in the substep to come, in the order of their keys, and what turns
+    /// fingers among them.
+    pub(in crate::sim) fn proxies_in(
+        &self,
+        region: &Aabb,
+        origin: &Vector3<f64>,
+    ) -> (Vec<Proxy>, Vec<Motor>) {
+        let near = |body: &RigidBody, next: &Pose| self.swept(body, next).meets(region);
+        let mut handles = vec![];
+        for (handle, body) in self.bodies.iter().filter(|(_, body)| body.is_enabled()) {
+            if near(body, &frames::from_engine(&self.next_pose(handle, body))) {
+                handles.push(handle);
+            }
+        }
+        // A pair of fingers is turned together.
+        for grip in &self.grips {
+            if grip.fingers.iter().any(|finger| handles.contains(finger)) {
+                for finger in grip.fingers {
+                    if !handles.contains(&finger) {
+                        handles.push(finger);
+                    }
+                }
+            }
+        }
+        handles.sort_by_key(|handle| handle.into_raw_parts());
+        let mut motors = vec![];
+        for grip in &self.grips {
+            let place = |finger| handles.iter().position(|handle| *handle == finger);
+            let [Some(left), Some(right)] = grip.fingers.map(place) else { continue };
+            if !grip.fingers.iter().any(|finger| self.touches_rigid(*finger)) {
+                motors.push(Motor { fingers: [left, right], motor: grip.motor });
+            }
+        }
+        let turned = |number: usize| motors.iter().any(|motor| motor.fingers.contains(&number));
+        let proxy = |(number, handle): (usize, &RigidBodyHandle)| {
+            self.proxy(*handle, turned(number), origin)
+        };
+        let proxies = handles.iter().enumerate().map(proxy).collect();
+        (proxies, motors)
+    }
+
+    /// Takes over what a soft body with this `origin`, whose fastest node has this speed (m/s), did to `proxies`.
+    pub(in crate::sim) fn absorb(
+        &mut self,
+        proxies: Vec<Proxy>,
+        origin: &Vector3<f64>,
+        fastest: f64,
+    ) {
+        for proxy in proxies {
+            let handle = proxy.handle;
+            let Load { impulse, angular, pressing, moment } = proxy.load;
+            if pressing > 0.0 {
+                self.soft_touches.push(SoftTouch {
+                    body: handle,
+                    by: usize::MAX, // the world knows which it was
+                    force: impulse * SUBSTEPS_PER_SECOND,
+                    pressure: pressing * SUBSTEPS_PER_SECOND,
+                    point: Point3::from(origin + moment / pressing),
+                });
+            }
+            if let Some(hinge) = &proxy.hinge {
+                let passed = Some(Passed { angle: hinge.angle, rate: hinge.rate });
+                self.hung_mut(handle).expect("it hangs on a hinge").passed = passed;
+                continue;
+            }
+            if let Some(hung) = self.hinges.iter().find(|hinge| hinge.body == handle) {
+                let body = &mut self.bodies[handle];
+                let axis = body.rotation().mul_vec3(hung.axis);
+                let torque =
+                    EngineVector::new(angular.x as f32, angular.y as f32, angular.z as f32);
+                let inertia = f64::from(hung.inertia) / SCALE.powi(5);
+                let rate = body.angvel() + axis * (torque.dot(axis) / inertia as f32);
+                body.set_angvel(rate, false);
+                continue;
+            }
+            if !self.moving().any(|body| *body == handle) {
+                continue;
+            }
+            let body = &mut self.bodies[handle];
+            if body.is_sleeping() {
+                if fastest > WAKING {
+                    body.wake_up(true);
+                }
+                continue;
+            }
+            // Impulses are SCALE⁴ of the real ones, angular ones SCALE⁵, as masses are SCALE³.
+            let properties = body.mass_properties();
+            let inverse_inertia = properties.effective_world_inv_inertia;
+            let linear = frames::to_engine_vector(&(impulse * SCALE.powi(3)));
+            let angular = frames::to_engine_vector(&(angular * SCALE.powi(4)));
+            let velocity = body.linvel() + properties.effective_inv_mass * linear;
+            let rate = body.angvel() + inverse_inertia * angular;
+            body.set_linvel(velocity, false);
+            body.set_angvel(rate, false);
+        }
+    }
+
+    /// Puts fingers where they came to beside soft bodies; their carriers are where they will be.
+    pub(super) fn finish_passed(&mut self) {
+        for index in 0..self.hinges.len() {
+            let Some(Passed { angle, rate }) = self.hinges[index].passed else { continue };
+            let hung = self.hinges[index].clone();
+            let carrier = &self.bodies[hung.carrier];
+            let (linear, carried) = (carrier.linvel(), carrier.angvel());
+            let pose = hung.pose(&frames::from_engine(carrier.position()), angle);
+            let body = &mut self.bodies[hung.body];
+            body.set_position(frames::to_engine(&pose), false);
+            let axis = body.rotation().mul_vec3(hung.axis);
+            body.set_linvel(linear, false);
+            body.set_angvel(carried + axis * rate as f32, false);
+        }
+    }
+
+    fn hung_mut(&mut self, body: RigidBodyHandle) -> Option<&mut Hung> {
+        self.hinges.iter_mut().find(|hinge| hinge.body == body)
+    }
+
+    fn touches_rigid(&self, body: RigidBodyHandle) -> bool {
+        self.impulses.iter().any(|touch| touch.impulse > 0.0 && touch.bodies.contains(&body))
+    }
+
+    /// Where a driven body will be at the end of the substep; others are where they are.
+    fn next_pose(&self, handle: RigidBodyHandle, body: &RigidBody) -> rapier3d::math::Pose {
+        let driven = self.driven.iter().find(|(driven, _)| *driven == handle);
+        driven.and_then(|(_, next)| *next).unwrap_or(*body.position())
+    }
+
+    /// The box around a body where it is and where it will be, m.
+    fn swept(&self, body: &RigidBody, next: &Pose) -> Aabb {
+        let now = frames::from_engine(body.position());
+        let parts = body.colliders().iter().filter_map(|part| self.part(*part));
+        let boxes = parts.map(|part| part.aabb(&now).merged(&part.aabb(next)));
+        boxes.reduce(|one, other| one.merged(&other)).unwrap_or_else(|| Aabb::around([]))
+    }
+
+    /// A body as a soft one with this `origin` meets it; `turned` says that it is a finger that passes the substep
+    /// beside it.
+    fn proxy(&self, handle: RigidBodyHandle, turned: bool, origin: &Vector3<f64>) -> Proxy {
+        let body = &self.bodies[handle];
+        let hung = self.hinges.iter().find(|hinge| hinge.body == handle);
+        let frame = hung.map_or(handle, |hung| hung.carrier);
+        let now = frames::from_engine(body.position());
+        // What moves it: the twist of its carrier, or its own.
+        let [mut velocity, mut rate] = self.twist(frame);
+        let mut hinge = None;
+        if let Some(hung) = hung {
+            let axis = unscaled(hung.axis);
+            let own = unscaled(body.angvel()) - rate;
+            let turning = own.dot(&(now.rotation * axis));
+            if turned {
+                hinge = Some(HingeProxy {
+                    axis: axis.cast(),
+                    angle: self.hung_angle(hung),
+                    rate: turning,
+                    inertia: f64::from(hung.inertia) / SCALE.powi(5),
+                    limits: hung.limits.map(f64::from),
+                    carrier_rate: rate.cast(),
+                    target: 0.0,
+                    motor: [hinge::STIFFNESS, hinge::DAMPING],
+                });
+            }
+            rate += now.rotation * axis * turning;
+        }
+        let is_free = self.moving().any(|moving| *moving == handle);
+        let is_asleep = is_free && body.is_sleeping();
+        let (mut centre, mut inverse_mass, mut inverse_inertia) =
+            (now.translation.vector, 0.0, Matrix3::zeros());
+        let mut gravity = Vector3::zeros();
+        if is_free && !is_asleep {
+            centre = frames::from_engine_vector(body.center_of_mass());
+            let properties = body.mass_properties();
+            let scale = SCALE.powi(3) as f32;
+            inverse_mass = properties.effective_inv_mass.x * scale;
+            let tensor = properties.effective_world_inv_inertia;
+            let (scale, [a, b, c]) = (
+                SCALE.powi(5) as f32,
+                [EngineVector::X, EngineVector::Y, EngineVector::Z].map(|axis| tensor * axis),
+            );
+            inverse_inertia = Matrix3::new(a.x, b.x, c.x, a.y, b.y, c.y, a.z, b.z, c.z) * scale;
+            if inverse_mass > 0.0 {
+                gravity = Vector3::new(0.0, 0.0, -(GRAVITY as f32));
+            }
+        }
+        if body.is_fixed() || is_asleep {
+            (velocity, rate) = (Vector3::zeros(), Vector3::zeros());
+        }
+        let rotation: UnitQuaternion<f32> = now.rotation.cast();
+        let offset = now.rotation.inverse() * (now.translation.vector - centre);
+        let parts = body.colliders().iter().filter_map(|part| self.part(*part));
+        let part = |Part { body_from_part, shape }: Part| PartProxy {
+            centre_from_part: (offset + body_from_part.translation.vector).cast(),
+            rotation: body_from_part.rotation.cast(),
+            shape: (&shape).into(),
+            at: Default::default(),
+        };
+        Proxy {
+            handle,
+            is_profiled: self.profiled.contains(&handle),
+            moves: !body.is_fixed() && !is_asleep,
+            centre: (centre - origin).cast(),
+            rotation,
+            velocity: velocity.cast(),
+            rate: rate.cast(),
+            inverse_mass,
+            inverse_inertia,
+            gravity,
+            hinge,
+            parts: parts.map(part).collect(),
+            load: Load::default(),
+        }
+    }
+
+    /// Velocity of a body, and its rate of turning, with which it passes the substep to come.
+    fn twist(&self, handle: RigidBodyHandle) -> [Vector3<f64>; 2] {
+        let body = &self.bodies[handle];
+        if !self.driven.iter().any(|(driven, _)| *driven == handle) {
+            return [frames::from_engine_vector(body.linvel()), unscaled(body.angvel())];
+        }
+        let next = self.next_pose(handle, body);
+        let turn = (next.rotation * body.position().rotation.inverse()).to_scaled_axis();
+        let way = next.translation - body.position().translation;
+        [frames::from_engine_vector(way), unscaled(turn)].map(|way| way * SUBSTEPS_PER_SECOND)
+    }
+}
+
+/// What has no lengths in it that the engine would scale.
+fn unscaled(vector: EngineVector) -> Vector3<f64> {
+    Vector3::new(vector.x, vector.y, vector.z).cast()
+}
