@@ -21,6 +21,8 @@ mod placement;
 mod relative;
 mod render;
 mod robustness;
+mod soft;
+mod soft_grasp;
 mod stages;
 mod suite;
 mod time;

@@ -216,6 +216,8 @@ pub struct World {
     others: Vec<Box<dyn NonRigid>>,
     /// What soft bodies did to rigid ones in the last substep.
     soft_touches: Vec<soft::SoftTouch>,
+    /// The free objects that passed this substep beside soft bodies.
+    passed: Vec<soft::PassedObject>,
     /// What turns pairs of fingers.
     grips: Vec<soft::Grip>,
     /// The bodies that soft ones meet as profiled jaws.
@@ -264,6 +266,7 @@ impl World {
             free: Vec::new(),
             others: Vec::new(),
             soft_touches: Vec::new(),
+            passed: Vec::new(),
             grips: Vec::new(),
             profiled: Vec::new(),
             fastest: 0.0,

@@ -145,9 +145,7 @@ impl SoftBody {
                 proxy.finish(dt);
             }
         }
-        if !contacts.are_possible() {
-            contacts.clear();
-        }
+        contacts.finish();
         let may_sleep = !contacts.touches_moving && lattice.fastest() < STILL;
         self.still = if may_sleep { self.still + seconds } else { 0.0 };
         self.is_asleep = self.still > SLEEP_AFTER;

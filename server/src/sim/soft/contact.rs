@@ -6,12 +6,14 @@
 //! | | law | impulse |
 //! |---|---|---|
 //! | open by g | u_n ≥ −g / Δt | λ_n ≥ 0 |
-//! | overlapping by d | u_n ≥ min(0.2 (d − slop) / Δt, [`RECOVERY`]) | λ_n ≥ 0 |
+//! | overlapping by d | u_n ≥ min(0.02 (d − slop) / Δt, [`RECOVERY`]) | λ_n ≥ 0 |
 //! | friction (Coulomb) | u_t = 0, or sliding | \|λ_t\| ≤ μ λ_n |
 //!
 //! The effective mass of a row along d is 1 / (Σ w²/m + 1/M + (r × d)·I⁻¹(r × d)), with the weights w of the corners of
 //! the sample's element, and mass M and inertia I of the rigid body. Contacts are solved one after the other,
 //! [`SWEEPS`] times, and begin with the impulses of the substep before: without that friction creeps.
+
+use std::cell::Cell;
 
 use nalgebra::Vector3;
 use wide::f32x4;
@@ -31,13 +33,17 @@ const STATIC_EVERY: usize = 4;
 const REACH: f32 = 0.3e-3;
 
 /// Part of an overlap that is undone in a substep.
-const UNDONE: f32 = 0.2;
+const UNDONE: f32 = 0.02;
 
 /// Greatest speed with which overlaps are undone, m/s.
-const RECOVERY: f32 = 0.1;
+const RECOVERY: f32 = 0.02;
 
 /// Overlap that is left alone, m.
-const SLOP: f32 = 0.01e-3;
+const SLOP: f32 = 0.05e-3;
+
+/// Weight of a corner that counts: more than rounding. Otherwise a sample between nodes that are held would be as heavy
+/// as the weight of its free ones is small.
+const LEAST_WEIGHT: f32 = 1e-4;
 
 /// A sample that may touch a part in this step.
 #[derive(Debug, Clone)]
@@ -86,9 +92,7 @@ pub(super) struct Contacts {
     /// What the last substep left, and how long that was, s: all that is state.
     warm: Vec<Warm>,
     warm_seconds: f32,
-    candidates: Vec<Candidate>,
-    contacts: Vec<Contact>,
-    solver: Solver,
+    work: Work,
     /// Whether what may move was touched in the last substep.
     pub touches_moving: bool,
 }
@@ -102,6 +106,18 @@ impl Clone for Contacts {
             ..Self::default()
         }
     }
+}
+
+/// Memory that holds no state: between steps it is the thread's.
+#[derive(Debug, Default)]
+struct Work {
+    candidates: Vec<Candidate>,
+    contacts: Vec<Contact>,
+    solver: Solver,
+}
+
+thread_local! {
+    static WORK: Cell<Work> = Cell::default();
 }
 
 /// The nodes near contacts.
@@ -153,8 +169,10 @@ impl Contacts {
         proxies: &[Proxy],
         reach: f32,
     ) {
-        self.candidates.clear();
-        self.solver.clear(lattice.form.mass.len());
+        self.work = WORK.take();
+        let Work { candidates, solver, .. } = &mut self.work;
+        candidates.clear();
+        solver.clear(lattice.form.mass.len());
         for (number, proxy) in proxies.iter().enumerate() {
             let samples = if proxy.is_static() { &skin.coarse } else { &skin.fine };
             let friction = if proxy.is_profiled { friction.profiled } else { friction.smooth };
@@ -181,38 +199,46 @@ impl Contacts {
                     };
                     let offsets = lattice.form.grid.corner_offsets();
                     for (weight, offset) in place.weights().into_iter().zip(offsets) {
-                        if weight != 0.0 {
-                            let slot = self.solver.slot(place.element as usize + offset);
+                        if weight.abs() > LEAST_WEIGHT {
+                            let slot = solver.slot(place.element as usize + offset);
                             candidate.slots[candidate.count as usize] = slot;
                             candidate.weights[candidate.count as usize] = weight;
                             candidate.count += 1;
                         }
                     }
-                    self.candidates.push(candidate);
+                    candidates.push(candidate);
                 }
             }
         }
     }
 
+    /// Ends a step.
+    pub(super) fn finish(&mut self) {
+        if !self.are_possible() {
+            self.clear();
+        }
+        WORK.set(std::mem::take(&mut self.work));
+    }
+
     /// Whether anything may be touched in this step.
     pub(super) fn are_possible(&self) -> bool {
-        !self.candidates.is_empty()
+        !self.work.candidates.is_empty()
     }
 
     /// Changes velocities of the body and of rigid ones by what contacts do in a substep.
     pub(super) fn solve(&mut self, lattice: &mut Lattice, proxies: &mut [Proxy], seconds: f32) {
         self.detect(lattice, proxies, seconds);
-        let nodes = std::mem::take(&mut self.solver.nodes);
-        let velocities = &mut self.solver.velocities;
+        let nodes = std::mem::take(&mut self.work.solver.nodes);
+        let velocities = &mut self.work.solver.velocities;
         velocities.clear();
         velocities.extend(nodes.iter().map(|node| {
             let [x, y, z] = [0, 1, 2].map(|axis: usize| lattice.v[axis][*node as usize]);
             f32x4::from([x, y, z, 0.0])
         }));
         self.start_warm(proxies, seconds);
-        let velocities = &mut self.solver.velocities;
+        let velocities = &mut self.work.solver.velocities;
         for sweep in 0..SWEEPS {
-            for contact in &mut self.contacts {
+            for contact in &mut self.work.contacts {
                 if !contact.is_static || sweep % STATIC_EVERY == 0 {
                     contact.solve(velocities, &mut proxies[contact.proxy as usize]);
                 }
@@ -223,15 +249,15 @@ impl Contacts {
                 lattice.v[axis][*node as usize] = velocity;
             }
         }
-        self.solver.nodes = nodes;
+        self.work.solver.nodes = nodes;
         self.report(proxies);
         self.warm_seconds = seconds;
     }
 
     fn detect(&mut self, lattice: &Lattice, proxies: &[Proxy], seconds: f32) {
-        let nodes = &self.solver.nodes;
-        self.contacts.clear();
-        for (number, candidate) in (0_u32..).zip(&self.candidates) {
+        let nodes = &self.work.solver.nodes;
+        self.work.contacts.clear();
+        for (number, candidate) in (0_u32..).zip(&self.work.candidates) {
             let proxy = &proxies[candidate.proxy as usize];
             let part = &proxy.parts[candidate.part as usize];
             let mut point = Vector3::zeros();
@@ -278,7 +304,7 @@ impl Contacts {
                 let mobility = mobility + turn.dot(&(proxy.inverse_inertia * turn));
                 *mass = if mobility > 0.0 { 1.0 / mobility } else { 0.0 };
             }
-            self.contacts.push(contact);
+            self.work.contacts.push(contact);
         }
     }
 
@@ -286,8 +312,9 @@ impl Contacts {
     fn start_warm(&mut self, proxies: &mut [Proxy], seconds: f32) {
         let scale = if self.warm_seconds > 0.0 { seconds / self.warm_seconds } else { 1.0 };
         let mut warm = self.warm.iter().peekable();
-        for contact in &mut self.contacts {
-            let key = self.candidates[contact.candidate as usize].key;
+        let Work { candidates, contacts, solver } = &mut self.work;
+        for contact in contacts {
+            let key = candidates[contact.candidate as usize].key;
             // Both are in the order of keys.
             while warm.next_if(|each| each.key < key).is_some() {}
             let Some(before) = warm.next_if(|each| each.key == key) else { continue };
@@ -297,11 +324,7 @@ impl Contacts {
             let along = contact.held([first, second]);
             contact.impulse = [contact.impulse[0], along[0], along[1]];
             let impulse = contact.vector(contact.impulse);
-            contact.apply(
-                &impulse,
-                &mut self.solver.velocities,
-                &mut proxies[contact.proxy as usize],
-            );
+            contact.apply(&impulse, &mut solver.velocities, &mut proxies[contact.proxy as usize]);
         }
     }
 
@@ -309,12 +332,12 @@ impl Contacts {
     fn report(&mut self, proxies: &mut [Proxy]) {
         self.warm.clear();
         self.touches_moving = false;
-        for contact in &self.contacts {
+        for contact in &self.work.contacts {
             if contact.impulse[0] == 0.0 {
                 continue;
             }
             let impulse = contact.vector(contact.impulse);
-            let key = self.candidates[contact.candidate as usize].key;
+            let key = self.work.candidates[contact.candidate as usize].key;
             self.warm.push(Warm { key, impulse });
             let proxy = &mut proxies[contact.proxy as usize];
             self.touches_moving |= !contact.is_static;
@@ -335,25 +358,17 @@ impl Contacts {
         std::iter::once(self.warm_seconds.to_bits()).chain(impulses)
     }
 
-    /// Memory that its state and its workspace take, bytes.
+    /// Memory that its state takes, bytes.
     pub(super) fn memory_bytes(&self) -> u64 {
-        let sizes = [
-            self.warm.capacity() * size_of::<Warm>(),
-            self.candidates.capacity() * size_of::<Candidate>(),
-            self.contacts.capacity() * size_of::<Contact>(),
-            self.solver.slot_of.capacity() * 2,
-            self.solver.nodes.capacity() * 4,
-            self.solver.velocities.capacity() * 16,
-        ];
-        sizes.into_iter().sum::<usize>() as u64
+        (self.warm.capacity() * size_of::<Warm>()) as u64
     }
 
     /// How deep samples are in rigid parts, m: that of the deepest.
     pub(super) fn deepest(&self, lattice: &Lattice, proxies: &[Proxy]) -> f64 {
-        let depths = self.candidates.iter().filter_map(|candidate| {
+        let depths = self.work.candidates.iter().filter_map(|candidate| {
             let mut point = Vector3::zeros();
             for corner in 0..candidate.count as usize {
-                let node = self.solver.nodes[candidate.slots[corner] as usize] as usize;
+                let node = self.work.solver.nodes[candidate.slots[corner] as usize] as usize;
                 let at = Vector3::from([0, 1, 2].map(|axis: usize| lattice.x[axis][node]));
                 point += candidate.weights[corner] * at;
             }

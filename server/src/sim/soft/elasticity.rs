@@ -9,6 +9,9 @@
 //! P = ∂Ψ/∂F = μ F + (λ' (J − 1) − μ) C
 //! ```
 //!
+//! Materials that stiffen as they are sheared have μ (1 + k D) in place of μ, which adds μ k/4 D² to Ψ, with
+//! D = max(0, |F|² − 1 − 2J). D is 0 at rest and grows with the square of strain, so small strains stay Hooke's.
+//!
 //! No term has a singularity: elements that are turned inside out come back.
 //!
 //! A hexahedron of edge h has one point of integration (Flanagan, Belytschko: Int. J. Numer. Meth. Eng. 17, 1981). Sums and
@@ -21,15 +24,17 @@
 //! f = −h²/4 · P σ − Σ k_m (q_m / 8) σ_m
 //! ```
 //!
-//! An element that is stretched is stiffer against changes of its volume: ∂²Ψ/∂F² has the term λ' C ⊗ C, and at rest
-//! |C|² = 3. So |C|² / 3 tells by how much the square of the greatest stable time step is shorter than at rest.
+//! An element that is stretched is stiffer. With P = μ F + q C, ∂²Ψ/∂F² has the terms λ' C ⊗ C and
+//! 2 μ k (F − C) ⊗ (F − C), and others no greater than μ + |q| |F|. At rest the first has the size 3 λ'. So the sum of all,
+//! over 3 λ', bounds by how much the square of the greatest stable time step is shorter than at rest: the stretch of an
+//! element in what follows.
 
 use wide::f32x8;
 
 use super::lattice::{Form, LANES};
 
-/// Adds the forces on all nodes, N, of a body whose moduli are `stiffness` times those of its form. Returns |C|² / 3 of the
-/// element in which it is greatest.
+/// Adds the forces on all nodes, N, of a body whose moduli are `stiffness` times those of its form. Returns the greatest
+/// stretch of an element.
 pub(super) fn add_forces(
     form: &Form,
     stiffness: f32,
@@ -38,9 +43,15 @@ pub(super) fn add_forces(
 ) -> f32 {
     let h = form.grid.spacing as f32;
     let nu = form.material.poissons_ratio as f32;
+    let stiffening = form.material.stiffening as f32;
+    // μ / (λ + μ) = 1 − 2ν
+    let ratio = 1.0 - 2.0 * nu;
     let splat = |number: f32| f32x8::from([number; LANES]);
     let constants = Constants {
         stiffness: splat(stiffness),
+        stiffening: splat(stiffening),
+        tangent: splat(2.0 * stiffening * ratio),
+        curved_at_rest: splat(ratio * (1.0 + f32::sqrt(3.0))),
         gradient: splat(1.0 / (4.0 * h)),
         area: splat(-h * h / 4.0),
         // E = 2 μ (1 + ν); modes are 8 times their amplitude.
@@ -51,7 +62,7 @@ pub(super) fn add_forces(
     let [fx, fy, fz] = forces;
     let forces = [fx.as_mut_slice(), fy.as_mut_slice(), fz.as_mut_slice()];
     let [nx, ny, nz] = &form.grid.cells;
-    let mut stiffest = splat(0.0);
+    let mut most = splat(0.0);
     for first in (0..*nz).map(|k| k * layer) {
         let last = first + (ny - 1) * row + nx;
         let mut element = first;
@@ -62,20 +73,25 @@ pub(super) fn add_forces(
             let lambda = lanes(&form.lambda, element, count);
             let rows = [element, element + row, element + layer, element + layer + row];
             let modes = [0, 1, 2].map(|axis| modes(&x[axis], rows));
-            let (force_modes, stiffening) = force_modes(&constants, mu, lambda, &modes);
-            stiffest = stiffest.max(stiffening);
+            let (force_modes, stretch) = force_modes(&constants, mu, lambda, &modes);
+            most = most.max(stretch);
             for axis in 0..3 {
                 scatter(forces[axis], rows, &force_modes[axis]);
             }
             element += LANES;
         }
     }
-    stiffest.to_array().into_iter().fold(0.0, f32::max) / 3.0
+    most.to_array().into_iter().fold(0.0, f32::max) / 3.0
 }
 
 /// Numbers that all elements have in common.
 struct Constants {
     stiffness: f32x8,
+    /// k, and 2 k μ/λ'.
+    stiffening: f32x8,
+    tangent: f32x8,
+    /// (μ + |q| |F|) / λ' at rest.
+    curved_at_rest: f32x8,
     gradient: f32x8,
     area: f32x8,
     bending: f32x8,
@@ -127,7 +143,7 @@ fn modes(x: &[f32], rows: [usize; 4]) -> Modes {
     ]
 }
 
-/// The coefficients of the forces' modes, of each component; and |C|².
+/// The coefficients of the forces' modes, of each component; and three times the stretch.
 #[inline(always)]
 fn force_modes(
     constants: &Constants,
@@ -141,12 +157,22 @@ fn force_modes(
         .map(|component| [0, 1, 2].map(|axis: usize| modes[component][axis] * constants.gradient));
     let cofactors = [cross(b, c), cross(c, a), cross(a, b)];
     let det = a[0] * cofactors[0][0] + a[1] * cofactors[0][1] + a[2] * cofactors[0][2];
-    let pressure = lambda * (det - one) - mu;
-    let [p, q, r] = cofactors.map(|row| row[0] * row[0] + row[1] * row[1] + row[2] * row[2]);
-    // Nothing is stiff where there is no element.
     let zero = f32x8::from([0.0; LANES]);
-    let stiffening = lambda.simd_gt(zero).select(p + q + r, zero);
+    let square = |rows: [[f32x8; 3]; 3]| {
+        let [p, q, r] = rows.map(|row| row[0] * row[0] + row[1] * row[1] + row[2] * row[2]);
+        p + q + r
+    };
+    let (f_square, c_square) = (square([a, b, c]), square(cofactors));
+    let sheared = (f_square - one - det - det).max(zero);
     let (bending, twisting) = (constants.bending * mu, constants.twisting * mu);
+    let mu = mu * (one + constants.stiffening * sheared);
+    let pressure = lambda * (det - one) - mu;
+    // |F − C|² = |F|² − 6 J + |C|². Nothing is stiff where there is no element.
+    let six = f32x8::from([6.0; LANES]);
+    let stretch = c_square + constants.tangent * (f_square - six * det + c_square);
+    let curved = (mu + pressure.abs() * f_square.sqrt()) / lambda;
+    let stretch = stretch + (curved - constants.curved_at_rest).max(zero);
+    let stretch = lambda.simd_gt(zero).select(stretch, zero);
     let gradient = [a, b, c];
     let force_modes = [0, 1, 2].map(|component: usize| {
         let stress = |axis: usize| {
@@ -164,7 +190,7 @@ fn force_modes(
             twisting * hourglass[6],
         ]
     });
-    (force_modes, stiffening)
+    (force_modes, stretch)
 }
 
 #[inline(always)]

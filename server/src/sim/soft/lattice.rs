@@ -22,12 +22,12 @@ pub(super) const LANES: usize = 8;
 /// Corners of an element; bit 0, 1 and 2 of a corner's number are its place along x, y and z.
 pub(super) const CORNERS: usize = 8;
 
-/// |C|² / 3 up to which elements bear the time step of the material; [`elasticity`] says what it is. Below, steps are even: steps that
-/// follow a vibration feed it.
+/// The stretch up to which elements bear the time step of the material: [`elasticity`] says what it is. Below it all steps
+/// are alike, since steps that follow a vibration would feed it.
 const STRETCH: f32 = 1.4;
 
 /// How many times shorter time steps become, at most.
-const SHORTEST: f64 = 8.0;
+const SHORTEST: f64 = 16.0;
 
 /// Elements side by side along three axes.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -282,9 +282,9 @@ impl Lattice {
         for (force, mass) in forces[2].iter_mut().zip(&form.mass) {
             *force = weight * mass;
         }
-        let stiffest = elasticity::add_forces(form, self.stiffness, &self.x, forces);
+        let stretch = elasticity::add_forces(form, self.stiffness, &self.x, forces);
         let longest = 1.0 / (SUBSTEPS_PER_SECOND * f64::from(form.substeps));
-        let stretched = f64::from((stiffest / STRETCH).sqrt());
+        let stretched = f64::from((stretch / STRETCH).sqrt());
         let shortened = longest / stretched.clamp(1.0, SHORTEST);
         // What is left is shared evenly, however it was rounded.
         (left / (left / shortened - 1e-6).ceil().max(1.0)) as f32

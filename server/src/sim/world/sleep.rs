@@ -39,6 +39,11 @@ impl World {
         })
     }
 
+    /// Whether anything rigid is as near to a body as contacts are looked at.
+    pub(super) fn is_near_rigid(&self, body: RigidBodyHandle) -> bool {
+        self.pairs_of(body).any(|(pair, _)| is_near(pair))
+    }
+
     /// Whether a body is awake, or driven from one place to another.
     fn moves(&self, body: RigidBodyHandle) -> bool {
         let body = &self.bodies[body];

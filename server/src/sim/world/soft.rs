@@ -3,8 +3,9 @@
 //! Soft bodies pass a substep first, in substeps of their own, beside the rigid bodies near them
 //! ([`Proxy`]). What they did is handed back before the rigid bodies pass the same substep:
 //!
-//! - A pair of fingers that touches nothing rigid has passed it already. The engine puts it where it came to.
-//! - Other fingers get the torque as a change of their rate of turning, free objects both impulses as a change of
+//! - A pair of fingers that touches nothing rigid, or a free object that nothing rigid is near, has passed it already. It is
+//!   put where it came to.
+//! - Other fingers get the torque as a change of their rate of turning, other objects both impulses as a change of
 //!   their velocities.
 //! - What is driven gets nothing: its instrument sees the forces ([`World::push_on`]).
 
@@ -48,6 +49,15 @@ pub(super) struct SoftTouch {
 pub(super) struct Passed {
     angle: f64,
     rate: f64,
+}
+
+/// A free object that passed it.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct PassedObject {
+    pub body: RigidBodyHandle,
+    world_from_body: Pose,
+    velocity: Vector3<f64>,
+    rate: Vector3<f64>,
 }
 
 /// A pair of fingers and what turns it.
@@ -116,6 +126,7 @@ impl World {
     /// Forgets what soft bodies did in the substep before.
     pub(super) fn clear_soft_touches(&mut self) {
         self.soft_touches.clear();
+        self.passed.clear();
         for hinge in &mut self.hinges {
             hinge.passed = None;
         }
@@ -222,6 +233,25 @@ impl World {
                 }
                 continue;
             }
+            if pressing == 0.0 {
+                continue;
+            }
+            if self.passes_alone(handle) {
+                let body = &self.bodies[handle];
+                let rotation: UnitQuaternion<f64> = proxy.rotation.cast();
+                let now = frames::from_engine(body.position());
+                let centre = frames::from_engine_vector(body.center_of_mass());
+                let from_centre = now.rotation.inverse() * (now.translation.vector - centre);
+                let at = origin + proxy.centre.cast::<f64>() + rotation * from_centre;
+                self.passed.push(PassedObject {
+                    body: handle,
+                    world_from_body: Pose::from_parts(at.into(), rotation),
+                    velocity: proxy.velocity.cast(),
+                    rate: proxy.rate.cast(),
+                });
+                continue;
+            }
+            let body = &mut self.bodies[handle];
             // Impulses are SCALE⁴ of the real ones, angular ones SCALE⁵, as masses are SCALE³.
             let properties = body.mass_properties();
             let inverse_inertia = properties.effective_world_inv_inertia;
@@ -234,8 +264,15 @@ impl World {
         }
     }
 
-    /// Puts fingers where they came to beside soft bodies; their carriers are where they will be.
+    /// Puts what passed the substep beside soft bodies where it came to; carriers of fingers are where they will be.
     pub(super) fn finish_passed(&mut self) {
+        for object in &self.passed {
+            let body = &mut self.bodies[object.body];
+            body.set_position(frames::to_engine(&object.world_from_body), false);
+            body.set_linvel(frames::to_engine_vector(&object.velocity), false);
+            let [x, y, z] = object.rate.cast::<f32>().into();
+            body.set_angvel(EngineVector::new(x, y, z), false);
+        }
         for index in 0..self.hinges.len() {
             let Some(Passed { angle, rate }) = self.hinges[index].passed else { continue };
             let hung = self.hinges[index].clone();
@@ -252,6 +289,14 @@ impl World {
 
     fn hung_mut(&mut self, body: RigidBodyHandle) -> Option<&mut Hung> {
         self.hinges.iter_mut().find(|hinge| hinge.body == body)
+    }
+
+    /// Whether a free object has only soft bodies near it, and has not passed the substep beside another of them.
+    fn passes_alone(&self, body: RigidBodyHandle) -> bool {
+        self.free.contains(&body)
+            && !self.passed.iter().any(|passed| passed.body == body)
+            && self.attachments_of(body).next().is_none()
+            && !self.is_near_rigid(body)
     }
 
     fn touches_rigid(&self, body: RigidBodyHandle) -> bool {

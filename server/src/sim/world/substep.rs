@@ -62,6 +62,8 @@ impl World {
             let body = &self.bodies[**body];
             body.is_enabled() && !body.is_sleeping()
         }));
+        // What has passed the substep is not solved.
+        awake.retain(|body| !self.passed.iter().any(|passed| passed.body == *body));
         let free = awake.len();
         let hinged = self.hinges.iter().filter(|hinge| hinge.passed.is_none());
         let hinged = hinged.map(|hinge| hinge.body);
@@ -69,7 +71,9 @@ impl World {
         self.solve(&awake);
         self.finish_driven();
         self.finish_passed();
-        self.let_sleep(&awake[..free]);
+        awake.truncate(free);
+        awake.extend(self.passed.iter().map(|passed| passed.body));
+        self.let_sleep(&awake);
         self.bodies.propagate_modified_body_positions_to_colliders(&mut self.colliders);
         self.workspace.awake = awake;
     }
@@ -263,7 +267,10 @@ impl World {
         }
     }
 
-    fn attachments_of(&self, object: RigidBodyHandle) -> impl Iterator<Item = &Attachment> {
+    pub(super) fn attachments_of(
+        &self,
+        object: RigidBodyHandle,
+    ) -> impl Iterator<Item = &Attachment> {
         self.attachments.iter().filter(move |attachment| attachment.id.bodies()[1] == object)
     }
 

@@ -16,6 +16,7 @@ fn material(youngs_modulus: f64, poissons_ratio: f64, density: f64) -> Material 
         density,
         friction: Friction { smooth: 0.5, profiled: 0.5 },
         ultimate_strain: None,
+        stiffening: 0.0,
         damping: 10.0,
     }
 }
