@@ -14,7 +14,7 @@
 //!
 //! A time step is v += Δt (f/m + g), then contacts change v, then x += Δt v. Tissue is so soft (2 to 30 kPa) that
 //! pressure waves go at 3 to 9 m/s, and steps of 0.2 to 0.8 ms are stable. Nothing has to converge: rest,
-//! waves and friction are those of the mesh. `docs/decisions.md` has what was measured of other methods.
+//! waves and friction are those of the mesh.
 //!
 //! Numbers are f32. The order of all sums is fixed and no multiplication is fused with an addition, so the bits
 //! are the same on every processor.
