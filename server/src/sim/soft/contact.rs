@@ -39,7 +39,7 @@ const UNDONE: f32 = 0.02;
 const RECOVERY: f32 = 0.02;
 
 /// Overlap that is left alone, m.
-const SLOP: f32 = 0.05e-3;
+const SLOP: f32 = 0.01e-3;
 
 /// Weight of a corner that counts: more than rounding. Otherwise a sample between nodes that are held would be as heavy
 /// as the weight of its free ones is small.
