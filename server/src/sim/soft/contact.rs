@@ -382,7 +382,7 @@ impl Contacts {
 
 impl Contact {
     /// Tangential impulses that friction can bear.
-    #[inline(always)]
+    #[inline]
     fn held(&self, along: [f32; 2]) -> [f32; 2] {
         let most = self.friction * self.impulse[0];
         let size = (along[0] * along[0] + along[1] * along[1]).sqrt();
@@ -416,7 +416,7 @@ impl Contact {
         }
     }
 
-    #[inline(always)]
+    #[inline]
     fn apply(&self, impulse: &Vector3<f32>, velocities: &mut [f32x4], proxy: &mut Proxy) {
         let lanes = f32x4::from([impulse.x, impulse.y, impulse.z, 0.0]);
         for (slot, mobility) in self.slots.iter().zip(&self.mobilities).take(self.count as usize) {

@@ -67,7 +67,7 @@ impl Rigid {
         Self { centre, velocity, rate }
     }
 
-    #[inline(always)]
+    #[inline]
     fn at(&self, x: [f32; 3]) -> [f32; 3] {
         let [a, b, c] = [0, 1, 2].map(|axis: usize| x[axis] - self.centre[axis]);
         let [p, q, r] = self.rate;

@@ -102,7 +102,7 @@ struct Constants {
 type Modes = [f32x8; 7];
 
 /// The first `count` lanes of an array from a place on; the others are 0.
-#[inline(always)]
+#[inline]
 fn lanes(numbers: &[f32], first: usize, count: usize) -> f32x8 {
     if count == LANES {
         return load(numbers, first);
@@ -112,13 +112,13 @@ fn lanes(numbers: &[f32], first: usize, count: usize) -> f32x8 {
     f32x8::from(lanes)
 }
 
-#[inline(always)]
+#[inline]
 fn load(numbers: &[f32], first: usize) -> f32x8 {
     let lanes: &[f32; LANES] = numbers[first..first + LANES].try_into().expect("eight lanes");
     f32x8::from(*lanes)
 }
 
-#[inline(always)]
+#[inline]
 fn modes(x: &[f32], rows: [usize; 4]) -> Modes {
     // Along x: sum and difference in each of the four rows of corners.
     let [a, b, c, d] = rows.map(|row| {
@@ -144,7 +144,7 @@ fn modes(x: &[f32], rows: [usize; 4]) -> Modes {
 }
 
 /// The coefficients of the forces' modes, of each component; and three times the stretch.
-#[inline(always)]
+#[inline]
 fn force_modes(
     constants: &Constants,
     mu: f32x8,
@@ -193,13 +193,13 @@ fn force_modes(
     (force_modes, stretch)
 }
 
-#[inline(always)]
+#[inline]
 fn cross(a: [f32x8; 3], b: [f32x8; 3]) -> [f32x8; 3] {
     [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
 }
 
 /// Adds to each corner the sum of modes with its signs.
-#[inline(always)]
+#[inline]
 fn scatter(forces: &mut [f32], rows: [usize; 4], modes: &Modes) {
     let [x, y, z, xy, xz, yz, xyz] = *modes;
     // Along z: what is multiplied by the sign along x, and what is not, each with both signs along y.
@@ -213,7 +213,7 @@ fn scatter(forces: &mut [f32], rows: [usize; 4], modes: &Modes) {
     }
 }
 
-#[inline(always)]
+#[inline]
 fn add(forces: &mut [f32], first: usize, by: f32x8) {
     let lanes: &mut [f32; LANES] =
         (&mut forces[first..first + LANES]).try_into().expect("eight lanes");

@@ -336,17 +336,15 @@ impl Lattice {
 
     /// A box around its nodes, m.
     pub fn bounds(&self) -> Aabb {
-        let form = &*self.form;
-        let mut bounds = [[f32::INFINITY; 3], [f32::NEG_INFINITY; 3]];
-        for axis in 0..3 {
-            for (x, mass) in self.x[axis].iter().zip(&form.mass) {
-                if *mass > 0.0 {
-                    bounds[0][axis] = bounds[0][axis].min(*x);
-                    bounds[1][axis] = bounds[1][axis].max(*x);
-                }
-            }
-        }
-        let [min, max] = bounds.map(|corner| self.origin + Vector3::from(corner.map(f64::from)));
+        let corners = self.x.each_ref().map(|x| {
+            let there = x.iter().zip(&self.form.mass).filter(|(_, mass)| **mass > 0.0);
+            there.fold([f32::INFINITY, f32::NEG_INFINITY], |[least, most], (x, _)| {
+                [least.min(*x), most.max(*x)]
+            })
+        });
+        let [min, max] = [0, 1].map(|end: usize| {
+            self.origin + Vector3::from(corners.map(|ends| f64::from(ends[end])))
+        });
         Aabb { min, max }
     }
 

@@ -19,7 +19,7 @@ use super::hinge::{self, Hung};
 use super::{BodyId, GRAVITY, JawMotor, NonRigid, Part, SUBSTEPS_PER_SECOND, World};
 use crate::sim::frames::{self, Aabb, Pose, SCALE};
 use crate::sim::soft::SoftBody;
-use crate::sim::soft::proxy::{HingeProxy, Load, Motor, PartProxy, Proxy};
+use crate::sim::soft::proxy::{Frame, HingeProxy, Load, Motor, PartProxy, Proxy};
 
 /// Speed above which what moves is looked at by soft bodies that sleep, m/s.
 const STIRRING: f64 = 1e-4;
@@ -375,7 +375,7 @@ impl World {
             centre_from_part: (offset + body_from_part.translation.vector).cast(),
             rotation: body_from_part.rotation.cast(),
             shape: (&shape).into(),
-            at: Default::default(),
+            at: Frame::default(),
         };
         Proxy {
             handle,
