@@ -3,7 +3,8 @@
 //! A sheet of fat, held at one edge, lies on a table. The jaws of a tissue forceps come from above, close on it, lift it
 //! by 20 mm, rest for a second and shake it by 10 mm to both sides.
 //!
-//! `cargo test -p trocar-server --test server soft_grasp -- --ignored --nocapture` prints the table of `GRASPING.md`.
+//! `TROCAR_SOAK=1 cargo test --release -p trocar-server --test server soft_grasp:: -- --nocapture` prints the table of
+//! `server/GRASPING.md`.
 
 use std::f64::consts::PI;
 use std::sync::Arc;
@@ -13,7 +14,9 @@ use trocar_server::sim::frames::{Aabb, Pose};
 use trocar_server::sim::instrument::{Instrument, JAW_CLOSED, JAW_OPEN, Jaws, Posture, TIP_OFFSET};
 use trocar_server::sim::motion::carry_out;
 use trocar_server::sim::random::Rng;
-use trocar_server::sim::soft::{Form, Friction, Material, Place, Skin, SoftBody, box_distance};
+use trocar_server::sim::soft::{
+    Form, Friction, Material, MaterialPoint, Skin, SoftBody, box_distance,
+};
 use trocar_server::sim::world::{Motion, Part, Shape, SoftId, Solver, World};
 
 /// Half extents of the sheet, m.
@@ -128,7 +131,8 @@ fn run(trial: &Trial, rng: &mut Rng) -> Outcome {
     go(&mut jaws, &mut world, posture(&high, yaw, JAW_CLOSED), 0.6);
     go(&mut jaws, &mut world, posture(&high, yaw, JAW_CLOSED), 1.0);
     let trembling = world.soft(id).lattice().fastest();
-    let strained = world.soft(id).strained_beyond(0.38);
+    let ultimate = world.soft(id).lattice().form().material().ultimate_strain;
+    let strained = world.soft(id).strained_beyond(ultimate.expect("fat has one"));
     for aside in [0.01, -0.01, 0.0] {
         let there = high + Vector3::new(0.0, aside, 0.0);
         go(&mut jaws, &mut world, posture(&there, yaw, JAW_CLOSED), 0.2);
@@ -146,7 +150,7 @@ fn run(trial: &Trial, rng: &mut Rng) -> Outcome {
 }
 
 /// Points of the sheet's upper face in the volume between the fingers.
-fn places_between(world: &World, id: SoftId, jaws: &Instrument) -> Vec<Place> {
+fn places_between(world: &World, id: SoftId, jaws: &Instrument) -> Vec<MaterialPoint> {
     let lattice = world.soft(id).lattice();
     let wrist_from_world = jaws.posture().world_from_wrist.inverse();
     let steps = 60;
@@ -155,67 +159,76 @@ fn places_between(world: &World, id: SoftId, jaws: &Instrument) -> Vec<Place> {
         let along = |step: i32| f64::from(step) / f64::from(steps) * 2.0 - 1.0;
         Point3::new(along(i) * HALF.x, along(j) * HALF.y, HALF.z)
     });
-    let places = points.map(|point| Place::of(lattice.form(), &point));
-    let is_between = |place: &Place| {
+    let places = points.map(|point| MaterialPoint::of(lattice.form(), &point));
+    let is_between = |place: &MaterialPoint| {
         let at = wrist_from_world * lattice.point(place);
         at.x.abs() < 2e-3 && at.y.abs() < 2e-3 && at.z > 4e-3 && at.z < TIP_OFFSET
     };
     places.filter(is_between).collect()
 }
 
-fn in_jaws(world: &World, id: SoftId, jaws: &Instrument, places: &[Place]) -> Vec<Point3<f64>> {
+fn in_jaws(
+    world: &World,
+    id: SoftId,
+    jaws: &Instrument,
+    places: &[MaterialPoint],
+) -> Vec<Point3<f64>> {
     let wrist_from_world = jaws.posture().world_from_wrist.inverse();
     world.soft(id).points(places).map(|point| wrist_from_world * point).collect()
 }
 
-/// Trials with these seeds, told as a row of a table.
+/// Trials with these seeds, printed as a row of the table. Returns how many are held.
 fn series(name: &str, trial: &Trial, seeds: std::ops::Range<u64>) -> usize {
     let outcomes: Vec<_> = seeds.map(|seed| run(trial, &mut Rng::new(seed, 0))).collect();
+    let count = outcomes.len();
     let held = outcomes.iter().filter(|outcome| outcome.is_held).count();
-    let median = |of: fn(&Outcome) -> f64| {
+    let sorted = |of: fn(&Outcome) -> f64| {
         let mut numbers: Vec<_> = outcomes.iter().map(of).collect();
         numbers.sort_by(f64::total_cmp);
-        (numbers[numbers.len() / 2], numbers[numbers.len() - 1])
+        numbers
     };
-    let (slip, _) = median(|outcome| outcome.slip);
-    let (trembling, worst) = median(|outcome| outcome.trembling);
-    let (_, fastest) = median(|outcome| outcome.fastest);
-    let (pressure, _) = median(|outcome| outcome.pressure);
-    let (strained, _) = median(|outcome| outcome.strained);
+    let (slip, trembling) =
+        (sorted(|outcome| 1e3 * outcome.slip), sorted(|outcome| 1e3 * outcome.trembling));
+    let (fastest, pressure) =
+        (sorted(|outcome| outcome.fastest), sorted(|outcome| outcome.pressure));
+    let strained = sorted(|outcome| 100.0 * outcome.strained);
+    let (median, last) = (count / 2, count - 1);
     println!(
-        "{name}: {held} of {} held, slip {:.2} mm, trembling {:.1} mm/s (worst {:.1}), \
-         fastest {fastest:.2} m/s, {pressure:.2} N, {:.1} % past 0.38",
-        outcomes.len(),
-        1e3 * slip,
-        1e3 * trembling,
-        1e3 * worst,
-        100.0 * strained,
+        "| {name} | {held} of {count} | {:.2} mm | {:.1} / {:.1} mm/s | {:.2} m/s | {:.2} N | {:.1} % |",
+        slip[median],
+        trembling[median],
+        trembling[last],
+        fastest[last],
+        pressure[median],
+        strained[median],
     );
     held
 }
 
 #[test]
 fn a_sheet_is_lifted_and_shaken_in_jaws_that_only_friction_holds_it_in() {
-    let held = series("usual", &Trial::USUAL, 1000..1004);
-    assert!(held >= 3, "{held}");
-}
-
-#[test]
-#[ignore = "a table to look at"]
-fn the_table() {
-    let seeds = 2000..2020;
+    let usual = Trial::USUAL;
+    let held = series("1 N, friction 0.8, other seeds", &usual, 1000..1002);
+    assert_eq!(held, 2);
+    if std::env::var_os("TROCAR_SOAK").is_none() {
+        return;
+    }
+    let series = |name: &str, trial: &Trial| series(name, trial, 2000..2020);
     for squeeze in [1.0, 3.0] {
         for friction in [0.4, 0.5, 0.8] {
-            let trial = Trial { friction, squeeze, ..Trial::USUAL };
-            series(&format!("{squeeze} N, μ {friction}"), &trial, seeds.clone());
+            let held = series(
+                &format!("{squeeze} N, friction {friction}"),
+                &Trial { friction, squeeze, ..usual },
+            );
+            assert!(friction < 0.8 || held >= 19, "{held}");
         }
     }
     for modulus in [3e3, 8e3] {
-        series(&format!("{modulus} Pa"), &Trial { modulus, ..Trial::USUAL }, seeds.clone());
+        series(&format!("{} kPa", 1e-3 * modulus), &Trial { modulus, ..usual });
     }
     for depth in [2.5e-3, 6.5e-3] {
-        series(&format!("{depth} m deep"), &Trial { depth, ..Trial::USUAL }, seeds.clone());
+        series(&format!("{} mm deep", 1e3 * depth), &Trial { depth, ..usual });
     }
     let jaws = Jaws::NEEDLE_DRIVER;
-    series("needle driver", &Trial { jaws, ..Trial::USUAL }, seeds);
+    series("needle driver, smooth, friction 0.3", &Trial { jaws, ..usual });
 }

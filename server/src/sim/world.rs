@@ -214,6 +214,8 @@ pub struct World {
     free: Vec<RigidBodyHandle>,
     /// The bodies that are not rigid.
     others: Vec<Box<dyn NonRigid>>,
+    /// Which of them passes the substep now.
+    advancing: usize,
     /// What soft bodies did to rigid ones in the last substep.
     soft_touches: Vec<soft::SoftTouch>,
     /// The free objects that passed this substep beside soft bodies.
@@ -265,6 +267,7 @@ impl World {
             impulses: Vec::new(),
             free: Vec::new(),
             others: Vec::new(),
+            advancing: 0,
             soft_touches: Vec::new(),
             passed: Vec::new(),
             grips: Vec::new(),

@@ -8,7 +8,7 @@ use super::contact::Contacts;
 use super::lattice::{Form, Lattice};
 use super::material::Friction;
 use super::proxy::{Motor, Proxy};
-use super::skin::{Place, Skin};
+use super::skin::{MaterialPoint, Skin};
 use crate::sim::frames::{Aabb, Pose};
 use crate::sim::world::{NonRigid, Surface, World};
 
@@ -79,12 +79,6 @@ impl SoftBody {
         self.wake();
     }
 
-    /// Gives every node that is not held the velocity that `field` has at its place, m/s.
-    pub fn set_velocity(&mut self, field: impl Fn(&Point3<f64>) -> Vector3<f64>) {
-        self.lattice.set_velocity(field);
-        self.wake();
-    }
-
     /// Sets its friction coefficients.
     pub fn set_friction(&mut self, friction: Friction) {
         self.friction = friction;
@@ -102,7 +96,10 @@ impl SoftBody {
     }
 
     /// Where points of it are, m.
-    pub fn points<'a>(&'a self, places: &'a [Place]) -> impl Iterator<Item = Point3<f64>> + 'a {
+    pub fn points<'a>(
+        &'a self,
+        places: &'a [MaterialPoint],
+    ) -> impl Iterator<Item = Point3<f64>> + 'a {
         places.iter().map(|place| self.lattice.point(place))
     }
 

@@ -6,12 +6,13 @@
 //! | | law | impulse |
 //! |---|---|---|
 //! | open by g | u_n ≥ −g / Δt | λ_n ≥ 0 |
-//! | overlapping by d | u_n ≥ min(0.02 (d − slop) / Δt, [`RECOVERY`]) | λ_n ≥ 0 |
+//! | overlapping by d | u_n ≥ min([`UNDONE`] (d − [`SLOP`]) / Δt, [`RECOVERY`]) | λ_n ≥ 0 |
 //! | friction (Coulomb) | u_t = 0, or sliding | \|λ_t\| ≤ μ λ_n |
 //!
-//! The effective mass of a row along d is 1 / (Σ w²/m + 1/M + (r × d)·I⁻¹(r × d)), with the weights w of the corners of
-//! the sample's element, and mass M and inertia I of the rigid body. Contacts are solved one after the other,
-//! [`SWEEPS`] times, and begin with the impulses of the substep before: without that friction creeps.
+//! The effective mass of a row along d is 1 / (Σ w²/m + 1/M + (r × d)·I⁻¹(r × d)). w are the weights of the corners of the
+//! sample's element and m their masses; M and I are mass and inertia of the rigid body, and r points from its centre to
+//! the sample. Contacts are solved one after the other (projected Gauss–Seidel), [`SWEEPS`] times. They begin with the
+//! impulses of the substep before: without that friction creeps.
 
 use std::cell::Cell;
 
@@ -21,7 +22,7 @@ use wide::f32x4;
 use super::lattice::{CORNERS, Lattice};
 use super::material::Friction;
 use super::proxy::Proxy;
-use super::skin::{Place, Samples, Skin};
+use super::skin::{MaterialPoint, Samples, Skin};
 
 /// How often all contacts with what moves are solved in a substep.
 const SWEEPS: usize = 8;
@@ -56,6 +57,32 @@ struct Candidate {
     count: u8,
     slots: [u16; CORNERS],
     weights: [f32; CORNERS],
+}
+
+impl Candidate {
+    /// Takes the corners of a sample's element that count.
+    fn set_corners(&mut self, lattice: &Lattice, place: &MaterialPoint, solver: &mut Solver) {
+        let offsets = lattice.form.grid.corner_offsets();
+        for (weight, offset) in place.weights().into_iter().zip(offsets) {
+            if weight.abs() > LEAST_WEIGHT {
+                self.slots[self.count as usize] = solver.slot(place.element as usize + offset);
+                self.weights[self.count as usize] = weight;
+                self.count += 1;
+            }
+        }
+    }
+
+    /// Where the sample is, from the lattice's origin on, m; `nodes` has the node of each slot.
+    fn point(&self, lattice: &Lattice, nodes: &[u32]) -> Vector3<f32> {
+        let mut point = Vector3::zeros();
+        for (slot, weight) in self.slots.iter().zip(&self.weights).take(self.count as usize) {
+            let node = nodes[*slot as usize] as usize;
+            for axis in 0..3 {
+                point[axis] += weight * lattice.x[axis][node];
+            }
+        }
+        point
+    }
 }
 
 /// A contact of this substep.
@@ -174,18 +201,13 @@ impl Contacts {
         candidates.clear();
         solver.clear(lattice.form.mass.len());
         for (number, proxy) in proxies.iter().enumerate() {
-            let samples = if proxy.is_static() { &skin.coarse } else { &skin.fine };
+            let samples = if proxy.is_static { &skin.coarse } else { &skin.fine };
             let friction = if proxy.is_profiled { friction.profiled } else { friction.smooth };
             for (part_number, part) in proxy.parts.iter().enumerate() {
                 let key = u64::from(proxy.key()) << 32 | (part_number as u64) << 24;
-                let reaches = |place: &Place| {
-                    let point = Vector3::from(lattice.local(place));
-                    let local = part.at.axes.tr_mul(&(point - part.at.origin));
-                    part.shape.gap(&local, reach).is_some()
-                };
                 let near = Near::new(part, reach);
                 for (index, place) in near.samples(lattice, samples) {
-                    if !reaches(place) {
+                    if part.gap(&lattice.local(place).into(), reach).is_none() {
                         continue;
                     }
                     let mut candidate = Candidate {
@@ -197,15 +219,7 @@ impl Contacts {
                         slots: [0; CORNERS],
                         weights: [0.0; CORNERS],
                     };
-                    let offsets = lattice.form.grid.corner_offsets();
-                    for (weight, offset) in place.weights().into_iter().zip(offsets) {
-                        if weight.abs() > LEAST_WEIGHT {
-                            let slot = solver.slot(place.element as usize + offset);
-                            candidate.slots[candidate.count as usize] = slot;
-                            candidate.weights[candidate.count as usize] = weight;
-                            candidate.count += 1;
-                        }
-                    }
+                    candidate.set_corners(lattice, place, solver);
                     candidates.push(candidate);
                 }
             }
@@ -260,17 +274,8 @@ impl Contacts {
         for (number, candidate) in (0_u32..).zip(&self.work.candidates) {
             let proxy = &proxies[candidate.proxy as usize];
             let part = &proxy.parts[candidate.part as usize];
-            let mut point = Vector3::zeros();
-            let corners = candidate.slots.iter().zip(&candidate.weights);
-            for (slot, weight) in corners.take(candidate.count as usize) {
-                let node = nodes[*slot as usize] as usize;
-                for axis in 0..3 {
-                    point[axis] += weight * lattice.x[axis][node];
-                }
-            }
-            let local = part.at.axes.tr_mul(&(point - part.at.origin));
-            let Some(gap) = part.shape.gap(&local, REACH) else { continue };
-            let normal = part.at.axes * gap.normal;
+            let point = candidate.point(lattice, nodes);
+            let Some(gap) = part.gap(&point, REACH) else { continue };
             let least = if gap.distance > 0.0 {
                 -gap.distance / seconds
             } else {
@@ -281,14 +286,14 @@ impl Contacts {
                 candidate: number,
                 proxy: candidate.proxy,
                 count: candidate.count,
-                is_static: proxy.is_static(),
+                is_static: proxy.is_static,
                 slots: candidate.slots,
                 weights: candidate.weights,
                 mobilities: [0.0; CORNERS],
                 friction: candidate.friction,
                 least,
                 arm,
-                axes: axes(&normal),
+                axes: axes(&gap.normal),
                 effective_mass: [0.0; 3],
                 impulse: [0.0; 3],
             };
@@ -366,15 +371,9 @@ impl Contacts {
     /// How deep samples are in rigid parts, m: that of the deepest.
     pub(super) fn deepest(&self, lattice: &Lattice, proxies: &[Proxy]) -> f64 {
         let depths = self.work.candidates.iter().filter_map(|candidate| {
-            let mut point = Vector3::zeros();
-            for corner in 0..candidate.count as usize {
-                let node = self.work.solver.nodes[candidate.slots[corner] as usize] as usize;
-                let at = Vector3::from([0, 1, 2].map(|axis: usize| lattice.x[axis][node]));
-                point += candidate.weights[corner] * at;
-            }
             let part = &proxies[candidate.proxy as usize].parts[candidate.part as usize];
-            let local = part.at.axes.tr_mul(&(point - part.at.origin));
-            part.shape.gap(&local, 0.0).map(|gap| f64::from(-gap.distance))
+            let point = candidate.point(lattice, &self.work.solver.nodes);
+            part.gap(&point, 0.0).map(|gap| f64::from(-gap.distance))
         });
         depths.fold(0.0, f64::max)
     }
@@ -457,7 +456,7 @@ impl Near {
         &'a self,
         lattice: &'a Lattice,
         samples: &'a Samples,
-    ) -> impl Iterator<Item = (usize, &'a Place)> {
+    ) -> impl Iterator<Item = (usize, &'a MaterialPoint)> {
         let offsets = lattice.form.grid.corner_offsets();
         let elements = samples.elements.iter().filter(move |(element, _)| {
             (0..3).all(|axis| {

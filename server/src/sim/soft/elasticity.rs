@@ -24,17 +24,17 @@
 //! f = −h²/4 · P σ − Σ k_m (q_m / 8) σ_m
 //! ```
 //!
-//! An element that is stretched is stiffer. With P = μ F + q C, ∂²Ψ/∂F² has the terms λ' C ⊗ C and
-//! 2 μ k (F − C) ⊗ (F − C), and others no greater than μ + |q| |F|. At rest the first has the size 3 λ'. So the sum of all,
-//! over 3 λ', bounds by how much the square of the greatest stable time step is shorter than at rest: the stretch of an
-//! element in what follows.
+//! An element that is deformed may be stiffer than at rest. With P = μ F + q C, ∂²Ψ/∂F² has the terms λ' C ⊗ C and
+//! 2 μ k (F − C) ⊗ (F − C), and others no greater than μ + |q| |F|. At rest the first has the size 3 λ'. So the sum of
+//! all, over 3 λ', is a bound of the tangent stiffness relative to that at rest. In what follows it is the *tangent* of an
+//! element. The square of the greatest stable time step is at most as many times shorter than at rest.
 
 use wide::f32x8;
 
 use super::lattice::{Form, LANES};
 
 /// Adds the forces on all nodes, N, of a body whose moduli are `stiffness` times those of its form. Returns the greatest
-/// stretch of an element.
+/// tangent of an element.
 pub(super) fn add_forces(
     form: &Form,
     stiffness: f32,
@@ -50,7 +50,7 @@ pub(super) fn add_forces(
     let constants = Constants {
         stiffness: splat(stiffness),
         stiffening: splat(stiffening),
-        tangent: splat(2.0 * stiffening * ratio),
+        stiffening_tangent: splat(2.0 * stiffening * ratio),
         curved_at_rest: splat(ratio * (1.0 + f32::sqrt(3.0))),
         gradient: splat(1.0 / (4.0 * h)),
         area: splat(-h * h / 4.0),
@@ -73,8 +73,8 @@ pub(super) fn add_forces(
             let lambda = lanes(&form.lambda, element, count);
             let rows = [element, element + row, element + layer, element + layer + row];
             let modes = [0, 1, 2].map(|axis| modes(&x[axis], rows));
-            let (force_modes, stretch) = force_modes(&constants, mu, lambda, &modes);
-            most = most.max(stretch);
+            let (force_modes, tangent) = force_modes(&constants, mu, lambda, &modes);
+            most = most.max(tangent);
             for axis in 0..3 {
                 scatter(forces[axis], rows, &force_modes[axis]);
             }
@@ -89,7 +89,7 @@ struct Constants {
     stiffness: f32x8,
     /// k, and 2 k μ/λ'.
     stiffening: f32x8,
-    tangent: f32x8,
+    stiffening_tangent: f32x8,
     /// (μ + |q| |F|) / λ' at rest.
     curved_at_rest: f32x8,
     gradient: f32x8,
@@ -143,7 +143,7 @@ fn modes(x: &[f32], rows: [usize; 4]) -> Modes {
     ]
 }
 
-/// The coefficients of the forces' modes, of each component; and three times the stretch.
+/// The coefficients of the forces' modes, of each component; and three times the tangent.
 #[inline]
 fn force_modes(
     constants: &Constants,
@@ -169,10 +169,10 @@ fn force_modes(
     let pressure = lambda * (det - one) - mu;
     // |F − C|² = |F|² − 6 J + |C|². Nothing is stiff where there is no element.
     let six = f32x8::from([6.0; LANES]);
-    let stretch = c_square + constants.tangent * (f_square - six * det + c_square);
+    let tangent = c_square + constants.stiffening_tangent * (f_square - six * det + c_square);
     let curved = (mu + pressure.abs() * f_square.sqrt()) / lambda;
-    let stretch = stretch + (curved - constants.curved_at_rest).max(zero);
-    let stretch = lambda.simd_gt(zero).select(stretch, zero);
+    let tangent = tangent + (curved - constants.curved_at_rest).max(zero);
+    let tangent = lambda.simd_gt(zero).select(tangent, zero);
     let gradient = [a, b, c];
     let force_modes = [0, 1, 2].map(|component: usize| {
         let stress = |axis: usize| {
@@ -190,7 +190,7 @@ fn force_modes(
             twisting * hourglass[6],
         ]
     });
-    (force_modes, stretch)
+    (force_modes, tangent)
 }
 
 #[inline]

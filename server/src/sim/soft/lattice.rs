@@ -22,9 +22,9 @@ pub(super) const LANES: usize = 8;
 /// Corners of an element; bit 0, 1 and 2 of a corner's number are its place along x, y and z.
 pub(super) const CORNERS: usize = 8;
 
-/// The stretch up to which elements bear the time step of the material: [`elasticity`] says what it is. Below it all steps
-/// are alike, since steps that follow a vibration would feed it.
-const STRETCH: f32 = 1.4;
+/// The tangent up to which elements bear the time step of the material: [`elasticity`] says what it is. Below it all
+/// steps are alike, since steps that follow a vibration would feed it.
+const TANGENT: f32 = 1.4;
 
 /// How many times shorter time steps become, at most.
 const SHORTEST: f64 = 16.0;
@@ -166,6 +166,11 @@ impl Form {
         self.mu.iter().enumerate().filter(|(_, mu)| **mu > 0.0).map(|(element, _)| element)
     }
 
+    /// What it is made of.
+    pub fn material(&self) -> &Material {
+        &self.material
+    }
+
     /// Its mass, kg.
     pub fn mass(&self) -> f64 {
         self.mass.iter().map(|mass| f64::from(*mass)).sum()
@@ -247,30 +252,8 @@ impl Lattice {
         Vector3::from([0, 1, 2].map(|axis| f64::from(self.v[axis][node])))
     }
 
-    /// Gives every node that is not held the velocity that `field` has at its place, m/s.
-    pub fn set_velocity(&mut self, field: impl Fn(&Point3<f64>) -> Vector3<f64>) {
-        for node in 0..self.form.grid.nodes() {
-            if self.form.inverse_mass[node] > 0.0 {
-                let velocity = field(&self.node(node));
-                for axis in 0..3 {
-                    self.v[axis][node] = velocity[axis] as f32;
-                }
-            }
-        }
-    }
-
-    /// Moves every node by what `field` has at its place, m.
-    pub fn displace(&mut self, field: impl Fn(&Point3<f64>) -> Vector3<f64>) {
-        for node in 0..self.form.grid.nodes() {
-            let by = field(&self.node(node));
-            for axis in 0..3 {
-                self.x[axis][node] += by[axis] as f32;
-            }
-        }
-    }
-
     /// Finds what pulls at nodes where they are: elastic forces, and `gravity` times that of the Earth. Returns the time
-    /// step to take of the `left` (s): as long as the material bears, or shorter where it is much stretched.
+    /// step to take of the `left` (s): as long as the material bears, or shorter where an element is much stiffer than at rest.
     pub fn find_forces(&mut self, gravity: f32, left: f64) -> f32 {
         let form = &*self.form;
         let forces = &mut self.forces.0;
@@ -282,10 +265,10 @@ impl Lattice {
         for (force, mass) in forces[2].iter_mut().zip(&form.mass) {
             *force = weight * mass;
         }
-        let stretch = elasticity::add_forces(form, self.stiffness, &self.x, forces);
+        let tangent = elasticity::add_forces(form, self.stiffness, &self.x, forces);
         let longest = 1.0 / (SUBSTEPS_PER_SECOND * f64::from(form.substeps));
-        let stretched = f64::from((stretch / STRETCH).sqrt());
-        let shortened = longest / stretched.clamp(1.0, SHORTEST);
+        let shorter = f64::from((tangent / TANGENT).sqrt());
+        let shortened = longest / shorter.clamp(1.0, SHORTEST);
         // What is left is shared evenly, however it was rounded.
         (left / (left / shortened - 1e-6).ceil().max(1.0)) as f32
     }
@@ -360,16 +343,5 @@ impl Lattice {
             });
             signed.sum()
         })
-    }
-
-    /// Momentum and, about the origin of the world, angular momentum, kg·m/s and kg·m²/s.
-    pub fn momentum(&self) -> [Vector3<f64>; 2] {
-        let mut sum = [Vector3::zeros(); 2];
-        for node in 0..self.form.grid.nodes() {
-            let momentum = self.velocity(node) * f64::from(self.form.mass[node]);
-            sum[0] += momentum;
-            sum[1] += self.node(node).coords.cross(&momentum);
-        }
-        sum
     }
 }

@@ -7,7 +7,8 @@
 //! | K | bulk modulus, Pa | E / (3 (1 − 2ν)) |
 //!
 //! Explicit dynamics is stable while ω Δt < 2 for every mode of the lattice. No mode of a lattice is faster than the
-//! fastest of an element by itself (Fried 1972), which is breathing: ω = 2 √(3K/ρ) / h, with the edge h of an element. So
+//! fastest of an element by itself (Fried: Bounds on the extremal eigenvalues of the finite element stiffness and mass
+//! matrices, J. Sound Vib. 22, 1972). That is breathing: ω = 2 √(3K/ρ) / h, with the edge h of an element. So
 //! **Δt < h / √(3K/ρ)**, and what needs more than [`MOST_SUBSTEPS`] to keep to [`COURANT`] of that is refused.
 
 use thiserror::Error;

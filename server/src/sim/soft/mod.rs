@@ -36,4 +36,4 @@ pub use body::SoftBody;
 pub use carve::box_distance;
 pub use lattice::{Form, Grid, Lattice};
 pub use material::{Friction, MOST_SUBSTEPS, Material, MaterialError};
-pub use skin::{Place, Skin};
+pub use skin::{MaterialPoint, Skin};

@@ -13,7 +13,7 @@
 use nalgebra::{Matrix3, UnitQuaternion, Vector3};
 use rapier3d::prelude::RigidBodyHandle;
 
-use super::shape::Shape;
+use super::shape::{Gap, Shape};
 use crate::sim::world::JawMotor;
 
 /// A rigid body.
@@ -22,8 +22,8 @@ pub(in crate::sim) struct Proxy {
     pub handle: RigidBodyHandle,
     /// Whether soft bodies meet it as profiled jaws.
     pub is_profiled: bool,
-    /// Whether anything may move it in this step.
-    pub moves: bool,
+    /// Whether it stands still in this step, whatever happens.
+    pub is_static: bool,
     /// Centre of mass of what is free; of others the body's origin.
     pub centre: Vector3<f32>,
     pub rotation: UnitQuaternion<f32>,
@@ -90,15 +90,20 @@ pub(in crate::sim) struct Load {
     pub moment: Vector3<f64>,
 }
 
+impl PartProxy {
+    /// The gap between a point and its surface, where that is less than `reach` (m); the normal has axes of the world.
+    #[inline]
+    pub(super) fn gap(&self, point: &Vector3<f32>, reach: f32) -> Option<Gap> {
+        let local = self.at.axes.tr_mul(&(point - self.at.origin));
+        let gap = self.shape.gap(&local, reach)?;
+        Some(Gap { normal: self.at.axes * gap.normal, ..gap })
+    }
+}
+
 impl Proxy {
     /// Tells it from others, from step to step.
     pub(super) fn key(&self) -> u32 {
         self.handle.into_raw_parts().0
-    }
-
-    /// Whether it stands still in this step, whatever happens.
-    pub(super) fn is_static(&self) -> bool {
-        !self.moves
     }
 
     /// Puts its parts where it is.
@@ -142,7 +147,7 @@ impl Proxy {
             hinge.angle = angle.clamp(least, most);
             self.hinge = Some(hinge);
         }
-        if !self.moves {
+        if self.is_static {
             return;
         }
         self.centre += self.velocity * seconds;

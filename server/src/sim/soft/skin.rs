@@ -5,8 +5,8 @@
 //! tangent planes at the cell's crossed edges meet best, so flat faces, edges and corners are exact. Each
 //! crossed edge gives one quadrilateral of four vertices.
 //!
-//! Every vertex and every sample has a [`Place`]: an element and trilinear coordinates in it. So the skin follows the
-//! lattice however that is deformed.
+//! Every vertex and every sample is a [`MaterialPoint`]: an element and trilinear coordinates in it. So the skin follows
+//! the lattice however that is deformed.
 
 use std::ops::Range;
 
@@ -20,14 +20,14 @@ const SAMPLE_SPACING: f64 = 1e-3;
 
 /// A point of the body.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Place {
+pub struct MaterialPoint {
     /// The element.
     pub element: u32,
     /// Along each edge of the element, 0 to 1; beyond, for points just outside of the lattice.
     pub at: [f32; 3],
 }
 
-impl Place {
+impl MaterialPoint {
     /// How much each corner of the element counts.
     #[inline]
     pub fn weights(&self) -> [f32; CORNERS] {
@@ -70,13 +70,13 @@ impl Place {
 /// Places, sorted by element.
 #[derive(Debug, Clone, Default)]
 pub(super) struct Samples {
-    pub(super) places: Vec<Place>,
+    pub(super) places: Vec<MaterialPoint>,
     /// Elements, and which places are in each.
     pub(super) elements: Vec<(u32, Range<u32>)>,
 }
 
 impl Samples {
-    fn new(mut places: Vec<Place>) -> Self {
+    fn new(mut places: Vec<MaterialPoint>) -> Self {
         places.sort_by_key(|place| place.element);
         let mut elements: Vec<(u32, Range<u32>)> = vec![];
         for (index, place) in (0_u32..).zip(&places) {
@@ -92,7 +92,7 @@ impl Samples {
 /// What is seen and touched of a body; it does not change while the body moves.
 #[derive(Debug, Clone)]
 pub struct Skin {
-    pub(super) vertices: Vec<Place>,
+    pub(super) vertices: Vec<MaterialPoint>,
     /// Counter-clockwise from outside.
     pub(super) triangles: Vec<[u32; 3]>,
     /// Where instruments and what moves freely touch it.
@@ -111,7 +111,7 @@ impl Skin {
         distance: impl Fn(&Point3<f64>) -> f64,
     ) -> Self {
         let contour = Contour::new(bounds, spacing, &distance);
-        let place = |point: &Point3<f64>| Place::of(form, point);
+        let place = |point: &Point3<f64>| MaterialPoint::of(form, point);
         let vertices: Vec<_> = contour.vertices.iter().map(place).collect();
         let quads = contour.quads();
         let across = (spacing / SAMPLE_SPACING).ceil().max(1.0) as usize;
@@ -148,24 +148,18 @@ impl Skin {
         }
         (points, normals)
     }
-
-    /// Memory, bytes.
-    pub fn memory_bytes(&self) -> u64 {
-        let places = self.vertices.len() + self.fine.places.len() + self.coarse.places.len();
-        (places * size_of::<Place>() + self.triangles.len() * 12) as u64
-    }
 }
 
 impl Lattice {
     /// Where a point of the body is, m.
-    pub fn point(&self, place: &Place) -> Point3<f64> {
+    pub fn point(&self, place: &MaterialPoint) -> Point3<f64> {
         let local = self.local(place).map(f64::from);
         Point3::from(self.origin + Vector3::from(local))
     }
 
     /// The same from the lattice's origin on.
     #[inline]
-    pub(super) fn local(&self, place: &Place) -> [f32; 3] {
+    pub(super) fn local(&self, place: &MaterialPoint) -> [f32; 3] {
         let (weights, offsets) = (place.weights(), self.form.grid.corner_offsets());
         [0, 1, 2].map(|axis: usize| {
             let x = &self.x[axis];

@@ -264,7 +264,7 @@ impl World {
 }
 
 /// What has no lengths in it that the engine would scale: a direction, a rate of turning.
-fn unscaled(rate: &Vector3<f64>) -> EngineVector {
+pub(super) fn unscaled(rate: &Vector3<f64>) -> EngineVector {
     EngineVector::new(rate.x as f32, rate.y as f32, rate.z as f32)
 }
 

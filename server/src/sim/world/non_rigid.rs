@@ -79,11 +79,8 @@ impl World {
         self.clear_soft_touches();
         let mut others = std::mem::take(&mut self.others);
         for (number, other) in others.iter_mut().enumerate() {
-            let first = self.soft_touches.len();
+            self.advancing = number;
             other.advance(self, 1.0 / SUBSTEPS_PER_SECOND);
-            for touch in &mut self.soft_touches[first..] {
-                touch.by = number;
-            }
         }
         self.others = others;
     }

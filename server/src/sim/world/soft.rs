@@ -15,7 +15,7 @@ use nalgebra::{Matrix3, Point3, UnitQuaternion, Vector3};
 use rapier3d::math::Vector as EngineVector;
 use rapier3d::prelude::{RigidBody, RigidBodyHandle};
 
-use super::hinge::{self, Hung};
+use super::hinge;
 use super::{BodyId, GRAVITY, JawMotor, NonRigid, Part, SUBSTEPS_PER_SECOND, World};
 use crate::sim::frames::{self, Aabb, Pose, SCALE};
 use crate::sim::soft::SoftBody;
@@ -35,6 +35,7 @@ pub struct SoftId(usize);
 #[derive(Debug, Clone, Copy)]
 pub(super) struct SoftTouch {
     pub body: RigidBodyHandle,
+    /// The soft body's place among those that are not rigid.
     pub by: usize,
     /// Mean force on the rigid body, N, friction included.
     pub force: Vector3<f64>,
@@ -88,16 +89,16 @@ impl World {
 
     /// The force of a soft body on a rigid one in the last substep, N, friction included.
     pub fn soft_force(&self, soft: SoftId, body: BodyId) -> Vector3<f64> {
-        let touches = self.soft_touches.iter();
-        let touches = touches.filter(|touch| touch.by == soft.0 && touch.body == body.0);
-        touches.map(|touch| touch.force).sum()
+        self.touches_between(soft, body).map(|touch| touch.force).sum()
     }
 
     /// How hard a soft body and a rigid one pressed on each other in the last substep, from whatever side, N.
     pub fn soft_pressure(&self, soft: SoftId, body: BodyId) -> f64 {
-        let touches = self.soft_touches.iter();
-        let touches = touches.filter(|touch| touch.by == soft.0 && touch.body == body.0);
-        touches.map(|touch| touch.pressure).sum()
+        self.touches_between(soft, body).map(|touch| touch.pressure).sum()
+    }
+
+    fn touches_between(&self, soft: SoftId, body: BodyId) -> impl Iterator<Item = &SoftTouch> {
+        self.soft_touches.iter().filter(move |touch| touch.by == soft.0 && touch.body == body.0)
     }
 
     /// How deep a soft body is in rigid ones, m.
@@ -197,70 +198,75 @@ impl World {
         fastest: f64,
     ) {
         for proxy in proxies {
-            let handle = proxy.handle;
-            let Load { impulse, angular, pressing, moment } = proxy.load;
-            if pressing > 0.0 {
+            let (handle, load) = (proxy.handle, proxy.load);
+            if load.pressing > 0.0 {
                 self.soft_touches.push(SoftTouch {
                     body: handle,
-                    by: usize::MAX, // the world knows which it was
-                    force: impulse * SUBSTEPS_PER_SECOND,
-                    pressure: pressing * SUBSTEPS_PER_SECOND,
-                    point: Point3::from(origin + moment / pressing),
+                    by: self.advancing,
+                    force: load.impulse * SUBSTEPS_PER_SECOND,
+                    pressure: load.pressing * SUBSTEPS_PER_SECOND,
+                    point: Point3::from(origin + load.moment / load.pressing),
                 });
             }
-            if let Some(hinge) = &proxy.hinge {
-                let passed = Some(Passed { angle: hinge.angle, rate: hinge.rate });
-                self.hung_mut(handle).expect("it hangs on a hinge").passed = passed;
-                continue;
-            }
-            if let Some(hung) = self.hinges.iter().find(|hinge| hinge.body == handle) {
-                let body = &mut self.bodies[handle];
-                let axis = body.rotation().mul_vec3(hung.axis);
-                let torque =
-                    EngineVector::new(angular.x as f32, angular.y as f32, angular.z as f32);
-                let inertia = f64::from(hung.inertia) / SCALE.powi(5);
-                let rate = body.angvel() + axis * (torque.dot(axis) / inertia as f32);
-                body.set_angvel(rate, false);
-                continue;
-            }
-            if !self.moving().any(|body| *body == handle) {
-                continue;
-            }
-            let body = &mut self.bodies[handle];
-            if body.is_sleeping() {
-                if fastest > WAKING {
-                    body.wake_up(true);
+            let hung = self.hinges.iter_mut().find(|hinge| hinge.body == handle);
+            if let (Some(hung), Some(hinge)) = (hung, &proxy.hinge) {
+                hung.passed = Some(Passed { angle: hinge.angle, rate: hinge.rate });
+            } else if self.is_hinged(handle) {
+                self.turn_by(handle, &load);
+            } else if self.moving().any(|body| *body == handle) {
+                if self.bodies[handle].is_sleeping() {
+                    if fastest > WAKING {
+                        self.bodies[handle].wake_up(true);
+                    }
+                } else if load.pressing > 0.0 && self.passes_alone(handle) {
+                    let passed = self.passed_object(&proxy, origin);
+                    self.passed.push(passed);
+                } else if load.pressing > 0.0 {
+                    self.push_by(handle, &load);
                 }
-                continue;
             }
-            if pressing == 0.0 {
-                continue;
-            }
-            if self.passes_alone(handle) {
-                let body = &self.bodies[handle];
-                let rotation: UnitQuaternion<f64> = proxy.rotation.cast();
-                let now = frames::from_engine(body.position());
-                let centre = frames::from_engine_vector(body.center_of_mass());
-                let from_centre = now.rotation.inverse() * (now.translation.vector - centre);
-                let at = origin + proxy.centre.cast::<f64>() + rotation * from_centre;
-                self.passed.push(PassedObject {
-                    body: handle,
-                    world_from_body: Pose::from_parts(at.into(), rotation),
-                    velocity: proxy.velocity.cast(),
-                    rate: proxy.rate.cast(),
-                });
-                continue;
-            }
-            let body = &mut self.bodies[handle];
-            // Impulses are SCALE⁴ of the real ones, angular ones SCALE⁵, as masses are SCALE³.
-            let properties = body.mass_properties();
-            let inverse_inertia = properties.effective_world_inv_inertia;
-            let linear = frames::to_engine_vector(&(impulse * SCALE.powi(3)));
-            let angular = frames::to_engine_vector(&(angular * SCALE.powi(4)));
-            let velocity = body.linvel() + properties.effective_inv_mass * linear;
-            let rate = body.angvel() + inverse_inertia * angular;
-            body.set_linvel(velocity, false);
-            body.set_angvel(rate, false);
+        }
+    }
+
+    /// Changes the rate at which a finger turns by what soft bodies did to it.
+    fn turn_by(&mut self, finger: RigidBodyHandle, load: &Load) {
+        let hung = self.hinges.iter().find(|hinge| hinge.body == finger);
+        let hung = hung.expect("it hangs on a hinge");
+        let body = &mut self.bodies[finger];
+        let axis = body.rotation().mul_vec3(hung.axis);
+        let inertia = f64::from(hung.inertia) / SCALE.powi(5);
+        let turned = hinge::unscaled(&load.angular).dot(axis) / inertia as f32;
+        let rate = body.angvel() + axis * turned;
+        body.set_angvel(rate, false);
+    }
+
+    /// Changes the velocities of an object by what soft bodies did to it.
+    fn push_by(&mut self, object: RigidBodyHandle, load: &Load) {
+        let body = &mut self.bodies[object];
+        // Impulses are SCALE⁴ of the real ones, angular ones SCALE⁵, as masses are SCALE³.
+        let properties = body.mass_properties();
+        let inverse_inertia = properties.effective_world_inv_inertia;
+        let linear = frames::to_engine_vector(&(load.impulse * SCALE.powi(3)));
+        let angular = frames::to_engine_vector(&(load.angular * SCALE.powi(4)));
+        let velocity = body.linvel() + properties.effective_inv_mass * linear;
+        let rate = body.angvel() + inverse_inertia * angular;
+        body.set_linvel(velocity, false);
+        body.set_angvel(rate, false);
+    }
+
+    /// Where an object came to beside a soft body with this `origin`.
+    fn passed_object(&self, proxy: &Proxy, origin: &Vector3<f64>) -> PassedObject {
+        let body = &self.bodies[proxy.handle];
+        let rotation: UnitQuaternion<f64> = proxy.rotation.cast();
+        let now = frames::from_engine(body.position());
+        let centre = frames::from_engine_vector(body.center_of_mass());
+        let from_centre = now.rotation.inverse() * (now.translation.vector - centre);
+        let at = origin + proxy.centre.cast::<f64>() + rotation * from_centre;
+        PassedObject {
+            body: proxy.handle,
+            world_from_body: Pose::from_parts(at.into(), rotation),
+            velocity: proxy.velocity.cast(),
+            rate: proxy.rate.cast(),
         }
     }
 
@@ -270,8 +276,7 @@ impl World {
             let body = &mut self.bodies[object.body];
             body.set_position(frames::to_engine(&object.world_from_body), false);
             body.set_linvel(frames::to_engine_vector(&object.velocity), false);
-            let [x, y, z] = object.rate.cast::<f32>().into();
-            body.set_angvel(EngineVector::new(x, y, z), false);
+            body.set_angvel(hinge::unscaled(&object.rate), false);
         }
         for index in 0..self.hinges.len() {
             let Some(Passed { angle, rate }) = self.hinges[index].passed else { continue };
@@ -287,8 +292,8 @@ impl World {
         }
     }
 
-    fn hung_mut(&mut self, body: RigidBodyHandle) -> Option<&mut Hung> {
-        self.hinges.iter_mut().find(|hinge| hinge.body == body)
+    fn is_hinged(&self, body: RigidBodyHandle) -> bool {
+        self.hinges.iter().any(|hinge| hinge.body == body)
     }
 
     /// Whether a free object has only soft bodies near it, and has not passed the substep beside another of them.
@@ -328,8 +333,8 @@ impl World {
         let [mut velocity, mut rate] = self.twist(frame);
         let mut hinge = None;
         if let Some(hung) = hung {
-            let axis = unscaled(hung.axis);
-            let own = unscaled(body.angvel()) - rate;
+            let axis = rate_from_engine(hung.axis);
+            let own = rate_from_engine(body.angvel()) - rate;
             let turning = own.dot(&(now.rotation * axis));
             if turned {
                 hinge = Some(HingeProxy {
@@ -365,7 +370,8 @@ impl World {
                 gravity = Vector3::new(0.0, 0.0, -(GRAVITY as f32));
             }
         }
-        if body.is_fixed() || is_asleep {
+        let is_static = body.is_fixed() || is_asleep;
+        if is_static {
             (velocity, rate) = (Vector3::zeros(), Vector3::zeros());
         }
         let rotation: UnitQuaternion<f32> = now.rotation.cast();
@@ -380,7 +386,7 @@ impl World {
         Proxy {
             handle,
             is_profiled: self.profiled.contains(&handle),
-            moves: !body.is_fixed() && !is_asleep,
+            is_static,
             centre: (centre - origin).cast(),
             rotation,
             velocity: velocity.cast(),
@@ -398,16 +404,17 @@ impl World {
     fn twist(&self, handle: RigidBodyHandle) -> [Vector3<f64>; 2] {
         let body = &self.bodies[handle];
         if !self.driven.iter().any(|(driven, _)| *driven == handle) {
-            return [frames::from_engine_vector(body.linvel()), unscaled(body.angvel())];
+            return [frames::from_engine_vector(body.linvel()), rate_from_engine(body.angvel())];
         }
         let next = self.next_pose(handle, body);
         let turn = (next.rotation * body.position().rotation.inverse()).to_scaled_axis();
         let way = next.translation - body.position().translation;
-        [frames::from_engine_vector(way), unscaled(turn)].map(|way| way * SUBSTEPS_PER_SECOND)
+        [frames::from_engine_vector(way), rate_from_engine(turn)]
+            .map(|way| way * SUBSTEPS_PER_SECOND)
     }
 }
 
-/// What has no lengths in it that the engine would scale.
-fn unscaled(vector: EngineVector) -> Vector3<f64> {
+/// A rate of turning, rad/s, or an axis: it has no lengths in it that the engine would scale.
+fn rate_from_engine(vector: EngineVector) -> Vector3<f64> {
     Vector3::new(vector.x, vector.y, vector.z).cast()
 }

@@ -228,10 +228,11 @@ fn a_sheet_is_pulled_out_of_jaws_at_twice_friction_times_normal_force() {
     assert!(slipped && (most - 1.0).abs() < 0.1, "{most}");
 }
 
+/// `TROCAR_SOAK=1` holds it for a minute.
 #[test]
-fn a_pinched_sheet_hardly_creeps_in_a_minute() {
-    let mu = 0.8;
-    let (mut world, id, mut jaws) = gripped(false, 0.1, mu);
+fn a_pinched_sheet_creeps_less_than_a_tenth_of_a_millimetre_in_a_minute() {
+    let seconds = if std::env::var_os("TROCAR_SOAK").is_some() { 60 } else { 10 };
+    let (mut world, id, mut jaws) = gripped(false, 0.1, 0.8);
     let place = |world: &World, jaws: &Instrument| {
         let lattice = world.soft(id).lattice();
         let upper = lattice.form().grid.index([2, 0, 5]);
@@ -241,12 +242,16 @@ fn a_pinched_sheet_hardly_creeps_in_a_minute() {
     carry_out([&mut jaws], &mut world, [closed], 240);
     let before = place(&world, &jaws);
     let mut trembling: f64 = 0.0;
-    for _ in 0..60 {
+    for _ in 0..seconds {
         carry_out([&mut jaws], &mut world, [closed], 240);
         trembling = trembling.max(world.soft(id).lattice().fastest());
     }
     let creep = (place(&world, &jaws) - before).norm();
-    println!("creeps {:.1} µm in 60 s, fastest node {:.1} mm/s", 1e6 * creep, 1e3 * trembling);
+    println!(
+        "creeps {:.1} µm in {seconds} s, fastest node {:.1} mm/s",
+        1e6 * creep,
+        1e3 * trembling
+    );
     assert_eq!(jaws.fingers_on(&world, id), 2);
-    assert!(creep < 0.1e-3, "{creep}");
+    assert!(creep < 0.1e-3 * f64::from(seconds) / 60.0, "{creep}");
 }
