@@ -115,8 +115,11 @@ impl World {
         }
     }
 
-    /// Sets what turns a pair of fingers in the substep to come.
+    /// Sets what turns a pair of fingers in the substep to come. Only bodies that are not rigid ask.
     pub fn set_grip(&mut self, fingers: [BodyId; 2], motor: JawMotor) {
+        if self.others.is_empty() {
+            return;
+        }
         let fingers = fingers.map(|finger| finger.0);
         match self.grips.iter_mut().find(|grip| grip.fingers == fingers) {
             Some(grip) => grip.motor = motor,
