@@ -215,7 +215,7 @@ impl World {
             if let (Some(hung), Some(hinge)) = (hung, &proxy.hinge) {
                 hung.passed = Some(Passed { angle: hinge.angle, rate: hinge.rate });
             } else if self.is_hinged(handle) {
-                self.turn_by(handle, &load);
+                self.apply_to_finger(handle, &load);
             } else if self.moving().any(|body| *body == handle) {
                 if self.bodies[handle].is_sleeping() {
                     if fastest > WAKING {
@@ -225,14 +225,14 @@ impl World {
                     let passed = self.passed_object(&proxy, origin);
                     self.passed.push(passed);
                 } else if load.pressing > 0.0 {
-                    self.push_by(handle, &load);
+                    self.apply_to_object(handle, &load);
                 }
             }
         }
     }
 
     /// Changes the rate at which a finger turns by what soft bodies did to it.
-    fn turn_by(&mut self, finger: RigidBodyHandle, load: &Load) {
+    fn apply_to_finger(&mut self, finger: RigidBodyHandle, load: &Load) {
         let hung = self.hinges.iter().find(|hinge| hinge.body == finger);
         let hung = hung.expect("it hangs on a hinge");
         let body = &mut self.bodies[finger];
@@ -244,7 +244,7 @@ impl World {
     }
 
     /// Changes the velocities of an object by what soft bodies did to it.
-    fn push_by(&mut self, object: RigidBodyHandle, load: &Load) {
+    fn apply_to_object(&mut self, object: RigidBodyHandle, load: &Load) {
         let body = &mut self.bodies[object];
         // Impulses are SCALE⁴ of the real ones, angular ones SCALE⁵, as masses are SCALE³.
         let properties = body.mass_properties();
