@@ -1,16 +1,17 @@
 //! The grasp bench of soft bodies: a sheet is picked up by friction alone, again and again, a little off each time.
 //!
-//! A sheet of fat, held at one edge, lies on a table. The jaws of a tissue forceps come from above, close on it, lift it
-//! by 20 mm, rest for a second and shake it by 10 mm to both sides.
+//! A sheet of fat, held at one edge, lies on a table. The jaws of a tissue forceps come from above, one finger on the
+//! free edge and one beside it. They close, lift the sheet by 20 mm, rest for a second and shake it by 10 mm to both sides.
 //!
 //! `TROCAR_SOAK=1 cargo test -p trocar-server --test server soft_grasp:: -- --nocapture` prints the table of
 //! `server/GRASPING.md`.
 
-use std::f64::consts::PI;
+use std::f64::consts::{FRAC_PI_2, PI};
 use std::ops::Range;
 use std::sync::Arc;
 
 use nalgebra::{Point3, UnitQuaternion, Vector3};
+use rayon::prelude::*;
 use trocar_server::sim::frames::{Aabb, Pose};
 use trocar_server::sim::instrument::{Instrument, JAW_CLOSED, JAW_OPEN, Jaws, Posture, TIP_OFFSET};
 use trocar_server::sim::motion::carry_out;
@@ -26,14 +27,19 @@ const HALF: Vector3<f64> = Vector3::new(0.03, 0.03, 4e-3);
 /// Edge of an element, m.
 const SPACING: f64 = 4e-3;
 
+/// Placements and moduli on which nothing was tuned.
+const SEEDS: Range<u64> = 50_000..50_200;
+
 /// Substeps of a second.
 const SECOND: f64 = 240.0;
 
 /// How a trial goes.
 #[derive(Debug, Clone, Copy)]
 struct Trial {
-    /// Young's modulus, Pa.
-    modulus: f64,
+    /// Young's modulus, Pa: from, to.
+    modulus: [f64; 2],
+    /// Where the jaws are put.
+    place: Place,
     /// Friction coefficient of the jaws.
     friction: f64,
     /// N.
@@ -45,12 +51,29 @@ struct Trial {
 
 impl Trial {
     const USUAL: Self = Self {
-        modulus: 5e3,
+        modulus: [3e3, 8e3],
+        place: Place::EDGE,
         friction: 0.8,
         squeeze: 1.0,
         depth: 4.5e-3,
         jaws: Jaws::TISSUE_FORCEPS,
     };
+}
+
+/// Where jaws are put on the sheet: the middle of the places, and how far they are from it, m; turn about the vertical, rad.
+#[derive(Debug, Clone, Copy)]
+struct Place {
+    middle: [f64; 2],
+    half: [f64; 2],
+    yaw: f64,
+}
+
+impl Place {
+    /// Across the free edge, at x = 30 mm.
+    const EDGE: Self = Self { middle: [0.028, 0.0], half: [2e-3, 12e-3], yaw: FRAC_PI_2 };
+
+    /// Where there is sheet on all sides, which the jaws have to make a fold of.
+    const MIDDLE: Self = Self { middle: [0.012, 0.0], half: [6e-3, 12e-3], yaw: 0.0 };
 }
 
 /// What became of it.
@@ -70,9 +93,9 @@ struct Outcome {
     strained: f64,
 }
 
-/// The sheet on its table, at rest.
-fn scene(trial: &Trial) -> (World, SoftId) {
-    let (mut world, id) = sheet_on_table(trial.modulus);
+/// The sheet on its table, at rest, with this Young's modulus (Pa).
+fn scene(trial: &Trial, modulus: f64) -> (World, SoftId) {
+    let (mut world, id) = sheet_on_table(modulus);
     let friction = Friction { smooth: 0.3, profiled: trial.friction };
     world.soft_mut(id).set_friction(friction);
     while !world.at_rest() {
@@ -108,9 +131,11 @@ pub(crate) fn posture(tip: &Vector3<f64>, yaw: f64, jaw: f64) -> Posture {
 }
 
 fn run(trial: &Trial, rng: &mut Rng) -> Outcome {
-    let (mut world, id) = scene(trial);
-    let mut draw = |half: f64| rng.uniform(-half, half);
-    let (x, y, yaw) = (0.012 + draw(6e-3), draw(0.012), draw(PI / 6.0));
+    let Place { middle, half, yaw } = trial.place;
+    let [x, y] = [0, 1].map(|axis| middle[axis] + rng.uniform(-half[axis], half[axis]));
+    let yaw = yaw + rng.uniform(-PI / 6.0, PI / 6.0);
+    let [softest, stiffest] = trial.modulus;
+    let (mut world, id) = scene(trial, rng.uniform(softest, stiffest));
     let top = 2.0 * HALF.z;
     let tip = |z: f64| Vector3::new(x, y, z);
     let above = posture(&tip(top + 5e-3), yaw, JAW_OPEN);
@@ -180,7 +205,8 @@ fn in_jaws(
 
 /// How many trials with these seeds end with the sheet in the jaws, and a row of the table.
 fn series(name: &str, trial: &Trial, seeds: Range<u64>) -> (usize, String) {
-    let outcomes: Vec<_> = seeds.map(|seed| run(trial, &mut Rng::new(seed, 0))).collect();
+    let outcomes: Vec<_> =
+        seeds.into_par_iter().map(|seed| run(trial, &mut Rng::new(seed, 0))).collect();
     let count = outcomes.len();
     let held = outcomes.iter().filter(|outcome| outcome.is_held).count();
     let sorted = |of: fn(&Outcome) -> f64| {
@@ -218,22 +244,25 @@ fn a_sheet_is_lifted_and_shaken_in_jaws_that_only_friction_holds_it_in() {
         assert_eq!(series("1 N, friction 0.8", &usual, 1000..1002), 2);
         return;
     }
-    let seeds = 2000..2020;
     for squeeze in [1.0, 3.0] {
-        for (friction, least) in [(0.4, 0), (0.5, 16), (0.8, 19)] {
+        for (friction, least) in [(0.5, 170), (0.8, 190)] {
             let trial = Trial { friction, squeeze, ..usual };
-            let held = series(&format!("{squeeze} N, friction {friction}"), &trial, seeds.clone());
-            assert!(held >= least, "{held}");
+            let name = format!("{squeeze} N, friction {friction}");
+            let held = series(&name, &trial, SEEDS);
+            assert!(held >= least, "{name}: {held}");
         }
     }
-    for modulus in [3e3, 8e3] {
-        let trial = Trial { modulus, ..usual };
-        series(&format!("{} kPa", 1e-3 * modulus), &trial, seeds.clone());
+    let variants = [
+        ("friction 0.4", Trial { friction: 0.4, ..usual }),
+        ("3 kPa", Trial { modulus: [3e3; 2], ..usual }),
+        ("8 kPa", Trial { modulus: [8e3; 2], ..usual }),
+        ("3 mm deep", Trial { depth: 3e-3, ..usual }),
+        ("6 mm deep", Trial { depth: 6e-3, ..usual }),
+        ("in the middle", Trial { place: Place::MIDDLE, ..usual }),
+        ("in the middle, friction 0.5", Trial { place: Place::MIDDLE, friction: 0.5, ..usual }),
+        ("needle driver: smooth, friction 0.3", Trial { jaws: Jaws::NEEDLE_DRIVER, ..usual }),
+    ];
+    for (name, trial) in variants {
+        series(name, &trial, 2000..2040);
     }
-    for depth in [2.5e-3, 6.5e-3] {
-        let trial = Trial { depth, ..usual };
-        series(&format!("{} mm deep", 1e3 * depth), &trial, seeds.clone());
-    }
-    let smooth = Trial { jaws: Jaws::NEEDLE_DRIVER, ..usual };
-    series("needle driver: narrow, smooth, friction 0.3", &smooth, seeds);
 }

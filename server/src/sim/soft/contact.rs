@@ -21,7 +21,7 @@ use wide::f32x4;
 
 use super::lattice::{CORNERS, Lattice};
 use super::material::Friction;
-use super::proxy::Proxy;
+use super::proxy::{PartProxy, Proxy};
 use super::skin::{MaterialPoint, Samples, Skin};
 
 /// How often all contacts with what moves are solved in a substep.
@@ -158,6 +158,9 @@ struct Solver {
 
 const NONE: u16 = u16::MAX;
 
+/// Added to the number of a sample between those that meet a static body.
+const FINE: usize = 1 << 23;
+
 impl Solver {
     fn slot(&mut self, node: usize) -> u16 {
         let slot = &mut self.slot_of[node];
@@ -201,14 +204,12 @@ impl Contacts {
         candidates.clear();
         solver.clear(lattice.form.mass.len());
         for (number, proxy) in proxies.iter().enumerate() {
-            let samples = if proxy.is_static { &skin.coarse } else { &skin.fine };
             let friction = if proxy.is_profiled { friction.profiled } else { friction.smooth };
             for (part_number, part) in proxy.parts.iter().enumerate() {
                 let key = u64::from(proxy.key()) << 32 | (part_number as u64) << 24;
-                let near = Near::new(part, reach);
-                for (index, place) in near.samples(lattice, samples) {
+                let mut add = |index: usize, place: &MaterialPoint| {
                     if part.gap(&lattice.local(place).into(), reach).is_none() {
-                        continue;
+                        return;
                     }
                     let mut candidate = Candidate {
                         key: key | index as u64,
@@ -221,6 +222,15 @@ impl Contacts {
                     };
                     candidate.set_corners(lattice, place, solver);
                     candidates.push(candidate);
+                };
+                let near = Near::new(part, reach);
+                if proxy.is_static {
+                    near.samples(lattice, &skin.coarse, |_| true, &mut add);
+                    let is_sharp = |element: &Box3| part.is_sharp_near(element, skin.spacing);
+                    let mut add_fine = |index, place: &_| add(index | FINE, place);
+                    near.samples(lattice, &skin.fine, is_sharp, &mut add_fine);
+                } else {
+                    near.samples(lattice, &skin.fine, |_| true, &mut add);
                 }
             }
         }
@@ -436,42 +446,57 @@ fn axes(normal: &Vector3<f32>) -> [Vector3<f32>; 3] {
     [*normal, tangent, normal.cross(&tangent)]
 }
 
-/// A box around a part in its own frame, in which samples are looked for.
-struct Near {
-    min: [f32; 3],
-    max: [f32; 3],
+/// A box, m from the lattice's origin, axes of the world.
+struct Box3 {
+    min: Vector3<f32>,
+    max: Vector3<f32>,
 }
 
+/// A box around a part, in which samples are looked for.
+struct Near(Box3);
+
 impl Near {
-    /// Around a part, axes of the world.
-    fn new(part: &super::proxy::PartProxy, reach: f32) -> Self {
+    fn new(part: &PartProxy, reach: f32) -> Self {
         let [centre, half] = part.shape.bounds();
         let centre = part.at.origin + part.at.axes * centre;
         let half = part.at.axes.abs() * half + Vector3::repeat(reach);
-        Self { min: (centre - half).into(), max: (centre + half).into() }
+        Self(Box3 { min: centre - half, max: centre + half })
     }
 
-    /// The samples in elements that meet the box.
-    fn samples<'a>(
-        &'a self,
-        lattice: &'a Lattice,
-        samples: &'a Samples,
-    ) -> impl Iterator<Item = (usize, &'a MaterialPoint)> {
+    /// Visits the samples in elements that meet the box and that `counts` does not leave out.
+    fn samples(
+        &self,
+        lattice: &Lattice,
+        samples: &Samples,
+        counts: impl Fn(&Box3) -> bool,
+        mut visit: impl FnMut(usize, &MaterialPoint),
+    ) {
         let offsets = lattice.form.grid.corner_offsets();
-        let elements = samples.elements.iter().filter(move |(element, _)| {
-            (0..3).all(|axis| {
+        for (element, range) in &samples.elements {
+            let (mut min, mut max) =
+                (Vector3::repeat(f32::INFINITY), Vector3::repeat(f32::NEG_INFINITY));
+            for axis in 0..3 {
                 let x = &lattice.x[axis];
-                let (mut least, mut most) = (f32::INFINITY, f32::NEG_INFINITY);
                 for offset in offsets {
                     let at = x[*element as usize + offset];
-                    (least, most) = (least.min(at), most.max(at));
+                    (min[axis], max[axis]) = (min[axis].min(at), max[axis].max(at));
                 }
-                least <= self.max[axis] && most >= self.min[axis]
-            })
-        });
-        elements.flat_map(|(_, range)| {
-            let range = range.start as usize..range.end as usize;
-            range.clone().zip(&samples.places[range])
-        })
+            }
+            let meets =
+                (0..3).all(|axis| min[axis] <= self.0.max[axis] && max[axis] >= self.0.min[axis]);
+            if meets && counts(&Box3 { min, max }) {
+                for index in range.clone() {
+                    visit(index as usize, &samples.places[index as usize]);
+                }
+            }
+        }
+    }
+}
+
+impl PartProxy {
+    /// Whether its surface has an edge within `reach` of a box, or is curved as narrowly as that.
+    fn is_sharp_near(&self, near: &Box3, reach: f32) -> bool {
+        let middle = self.at.axes.tr_mul(&(0.5 * (near.min + near.max) - self.at.origin));
+        self.shape.is_sharp_near(&middle, reach + 0.5 * (near.max - near.min).norm())
     }
 }

@@ -11,7 +11,7 @@ use std::sync::Arc;
 
 use nalgebra::{Point3, Vector3};
 
-use super::material::{Material, MaterialError};
+use super::material::{MOST_NODES, Material, MaterialError};
 use super::{damping, elasticity};
 use crate::sim::frames::{Aabb, Pose};
 use crate::sim::world::{GRAVITY, SUBSTEPS_PER_SECOND};
@@ -120,8 +120,13 @@ impl Form {
         fill: impl Fn([usize; 3]) -> f64,
     ) -> Result<Self, MaterialError> {
         let substeps = material.substeps(grid.spacing)?;
+        let nodes = grid.nodes();
+        if nodes > MOST_NODES {
+            let (name, spacing) = (material.name, grid.spacing);
+            return Err(MaterialError::TooFine { name, spacing, nodes });
+        }
         // Lanes of the last block reach past the last element.
-        let size = grid.nodes() + LANES;
+        let size = nodes + LANES;
         let mut mass = vec![0.0_f64; size];
         let (mut mu, mut lambda) = (vec![0.0; size], vec![0.0; size]);
         let corner_mass = material.density * grid.spacing.powi(3) / CORNERS as f64;

@@ -22,6 +22,9 @@ const COURANT: f64 = 0.8;
 /// Most substeps in the world's substep of 1/240 s: beyond, another method would be cheaper.
 pub const MOST_SUBSTEPS: u32 = 72;
 
+/// Most nodes of a lattice, held by the 16-bit numbers that contacts have for them.
+pub const MOST_NODES: usize = u16::MAX as usize;
+
 /// Poisson's ratios that the lattice computes with: beyond, waves of pressure are so fast that substeps are wasted
 /// on them.
 const POISSON: std::ops::RangeInclusive<f64> = 0.0..=0.47;
@@ -77,6 +80,18 @@ pub enum MaterialError {
         value: f64,
         /// What it must be.
         allowed: String,
+    },
+    /// Its lattice has more nodes than contacts can number.
+    #[error(
+        "{name}: with elements of {spacing} m it has {nodes} nodes, and {MOST_NODES} are the most"
+    )]
+    TooFine {
+        /// The material's name.
+        name: String,
+        /// Edge of an element, m.
+        spacing: f64,
+        /// Nodes that it would have.
+        nodes: usize,
     },
     /// It is too stiff for its density and for the spacing of the lattice.
     #[error(
@@ -165,6 +180,7 @@ impl Material {
 
 #[cfg(test)]
 mod tests {
+    use super::super::Form;
     use super::*;
 
     const SOFT: [&str; 6] = ["fat", "liver", "gallbladder", "phantom", "pad", "gauze"];
@@ -194,6 +210,8 @@ mod tests {
             assert!(fat().substeps(wrong).is_err(), "{wrong}");
         }
         assert!(Material { poissons_ratio: 0.4999, ..fat() }.substeps(4e-3).is_err());
+        let refused = Form::slab([40, 40, 40], 4e-3, fat()).unwrap_err().to_string();
+        assert!(refused.contains("fat") && refused.contains("68921 nodes"), "{refused}");
     }
 
     #[test]

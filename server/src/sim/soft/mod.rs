@@ -35,5 +35,5 @@ mod tests;
 pub use body::SoftBody;
 pub use carve::box_distance;
 pub use lattice::{Form, Grid, Lattice};
-pub use material::{Friction, MOST_SUBSTEPS, Material, MaterialError};
+pub use material::{Friction, MOST_NODES, MOST_SUBSTEPS, Material, MaterialError};
 pub use skin::{MaterialPoint, Skin};

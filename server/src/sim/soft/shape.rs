@@ -50,6 +50,21 @@ impl Shape {
         }
     }
 
+    /// Whether the surface has an edge within `reach` of a point that is at it, or is curved as narrowly as that.
+    pub(super) fn is_sharp_near(&self, point: &Vector3<f32>, reach: f32) -> bool {
+        match self {
+            Self::Cuboid(half) => {
+                (point.abs() - half).iter().filter(|out| **out > -reach).count() > 1
+            }
+            Self::Capsule { radius, .. } => *radius < 2.0 * reach,
+            Self::Cylinder { half_height, radius } => {
+                let across = (point.x * point.x + point.z * point.z).sqrt();
+                let is_at_rim = across > radius - reach && point.y.abs() > half_height - reach;
+                *radius < 2.0 * reach || is_at_rim
+            }
+        }
+    }
+
     /// The gap between a point of the part's frame and its surface, where it is less than `reach`.
     #[inline]
     pub(super) fn gap(&self, point: &Vector3<f32>, reach: f32) -> Option<Gap> {

@@ -97,8 +97,10 @@ pub struct Skin {
     pub(super) triangles: Vec<[u32; 3]>,
     /// Where instruments and what moves freely touch it.
     pub(super) fine: Samples,
-    /// Where what stands still touches it: the vertices.
+    /// Where what stands still touches it: the vertices, and all samples near its edges.
     pub(super) coarse: Samples,
+    /// Distance of neighbouring vertices, m.
+    pub(super) spacing: f32,
 }
 
 impl Skin {
@@ -129,7 +131,7 @@ impl Skin {
         let triangles = quads.iter().flat_map(|[a, b, c, d]| [[*a, *b, *c], [*a, *c, *d]]);
         let triangles = triangles.collect();
         let (fine, coarse) = (Samples::new(samples), Samples::new(vertices.clone()));
-        Self { vertices, triangles, fine, coarse }
+        Self { vertices, triangles, fine, coarse, spacing: spacing as f32 }
     }
 
     /// Where its vertices are, m, with their normals.

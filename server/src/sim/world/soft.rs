@@ -3,10 +3,10 @@
 //! Soft bodies pass a substep first, in substeps of their own, beside the rigid bodies near them
 //! ([`Proxy`]). What they did is handed back before the rigid bodies pass the same substep:
 //!
-//! - A pair of fingers that touches nothing rigid, or a free object that nothing rigid is near, has passed it already. It is
-//!   put where it came to.
-//! - Other fingers get the torque as a change of their rate of turning, other objects both impulses as a change of
-//!   their velocities.
+//! - A pair of fingers that touches one soft body and nothing rigid, or a free object that nothing rigid is near, has
+//!   passed it already. It is put where it came to.
+//! - Other fingers, and those that a second soft body touches, get the torque as a change of their rate of turning. Other
+//!   objects get both impulses as a change of their velocities.
 //! - What is driven gets nothing: its instrument sees the forces ([`World::push_on`]).
 
 use std::any::Any;
@@ -181,7 +181,11 @@ impl World {
         for grip in &self.grips {
             let place = |finger| handles.iter().position(|handle| *handle == finger);
             let [Some(left), Some(right)] = grip.fingers.map(place) else { continue };
-            if !grip.fingers.iter().any(|finger| self.touches_rigid(*finger)) {
+            if !grip
+                .fingers
+                .iter()
+                .any(|finger| self.touches_rigid(*finger) || self.has_passed(*finger))
+            {
                 motors.push(Motor { fingers: [left, right], motor: grip.motor });
             }
         }
@@ -200,7 +204,7 @@ impl World {
         origin: &Vector3<f64>,
         fastest: f64,
     ) {
-        for proxy in proxies {
+        for proxy in &proxies {
             let (handle, load) = (proxy.handle, proxy.load);
             if load.pressing > 0.0 {
                 self.soft_touches.push(SoftTouch {
@@ -211,18 +215,15 @@ impl World {
                     point: Point3::from(origin + load.moment / load.pressing),
                 });
             }
-            let hung = self.hinges.iter_mut().find(|hinge| hinge.body == handle);
-            if let (Some(hung), Some(hinge)) = (hung, &proxy.hinge) {
-                hung.passed = Some(Passed { angle: hinge.angle, rate: hinge.rate });
-            } else if self.is_hinged(handle) {
-                self.apply_to_finger(handle, &load);
+            if self.is_hinged(handle) {
+                self.absorb_finger(proxy, self.is_pair_pressed(handle, &proxies));
             } else if self.moving().any(|body| *body == handle) {
                 if self.bodies[handle].is_sleeping() {
                     if fastest > WAKING {
                         self.bodies[handle].wake_up(true);
                     }
                 } else if load.pressing > 0.0 && self.passes_alone(handle) {
-                    let passed = self.passed_object(&proxy, origin);
+                    let passed = self.passed_object(proxy, origin);
                     self.passed.push(passed);
                 } else if load.pressing > 0.0 {
                     self.apply_to_object(handle, &load);
@@ -231,16 +232,37 @@ impl World {
         }
     }
 
-    /// Changes the rate at which a finger turns by what soft bodies did to it.
-    fn apply_to_finger(&mut self, finger: RigidBodyHandle, load: &Load) {
-        let hung = self.hinges.iter().find(|hinge| hinge.body == finger);
+    /// Whether either of the pair of fingers to which this one belongs was pressed.
+    fn is_pair_pressed(&self, finger: RigidBodyHandle, proxies: &[Proxy]) -> bool {
+        let pair = self.grips.iter().find(|grip| grip.fingers.contains(&finger));
+        pair.is_some_and(|grip| {
+            let pressed = proxies.iter().filter(|proxy| proxy.load.pressing > 0.0);
+            pressed.into_iter().any(|proxy| grip.fingers.contains(&proxy.handle))
+        })
+    }
+
+    /// Takes over what a soft body did to a finger. A finger that passed beside one soft body goes with it, and others
+    /// change its rate.
+    fn absorb_finger(&mut self, proxy: &Proxy, is_pair_pressed: bool) {
+        let rotation = *self.bodies[proxy.handle].rotation();
+        let hung = self.hinges.iter_mut().find(|hinge| hinge.body == proxy.handle);
         let hung = hung.expect("it hangs on a hinge");
-        let body = &mut self.bodies[finger];
-        let axis = body.rotation().mul_vec3(hung.axis);
+        if let Some(HingeProxy { angle, rate, .. }) = proxy.hinge {
+            if is_pair_pressed {
+                hung.passed = Some(Passed { angle, rate });
+            }
+            return;
+        }
+        let axis = rotation.mul_vec3(hung.axis);
         let inertia = f64::from(hung.inertia) / SCALE.powi(5);
-        let turned = hinge::unscaled(&load.angular).dot(axis) / inertia as f32;
-        let rate = body.angvel() + axis * turned;
-        body.set_angvel(rate, false);
+        let turned = f64::from(hinge::unscaled(&proxy.load.angular).dot(axis)) / inertia;
+        if let Some(passed) = &mut hung.passed {
+            passed.rate += turned;
+        } else {
+            let body = &mut self.bodies[proxy.handle];
+            let rate = body.angvel() + axis * turned as f32;
+            body.set_angvel(rate, false);
+        }
     }
 
     /// Changes the velocities of an object by what soft bodies did to it.
@@ -307,6 +329,11 @@ impl World {
             && !self.is_near_rigid(body)
     }
 
+    /// Whether a finger has passed this substep beside another soft body.
+    fn has_passed(&self, finger: RigidBodyHandle) -> bool {
+        self.hinges.iter().any(|hinge| hinge.body == finger && hinge.passed.is_some())
+    }
+
     fn touches_rigid(&self, body: RigidBodyHandle) -> bool {
         self.impulses.iter().any(|touch| touch.impulse > 0.0 && touch.bodies.contains(&body))
     }
@@ -338,7 +365,10 @@ impl World {
         if let Some(hung) = hung {
             let axis = rate_from_engine(hung.axis);
             let own = rate_from_engine(body.angvel()) - rate;
-            let turning = own.dot(&(now.rotation * axis));
+            let mut turning = own.dot(&(now.rotation * axis));
+            if let Some(passed) = hung.passed {
+                turning = (passed.angle - self.hung_angle(hung)) * SUBSTEPS_PER_SECOND;
+            }
             if turned {
                 hinge = Some(HingeProxy {
                     axis: axis.cast(),

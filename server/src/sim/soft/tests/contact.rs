@@ -4,12 +4,14 @@ use std::sync::Arc;
 
 use nalgebra::{Point3, UnitQuaternion, Vector3};
 
-use super::super::{Form, Friction, Material, Skin, SoftBody, box_distance};
+use super::super::{Form, Friction, Material, MaterialPoint, Skin, SoftBody, box_distance};
 use super::material;
 use crate::sim::frames::{self, Aabb, Pose};
 use crate::sim::instrument::{Instrument, JAW_CLOSED, JAW_OPEN, Jaws, Posture, TIP_OFFSET};
 use crate::sim::motion::carry_out;
-use crate::sim::world::{GRAVITY, Motion, Part, SUBSTEPS_PER_SECOND, Shape, SoftId, Solver, World};
+use crate::sim::world::{
+    GRAVITY, Motion, Part, Push, SUBSTEPS_PER_SECOND, Shape, SoftId, Solver, World,
+};
 
 /// A box of these elements, at rest with its middle at a pose; nodes are held where `is_held` says.
 fn block(
@@ -165,17 +167,23 @@ fn down(tip: [f64; 3], jaw: f64) -> Posture {
     Posture { world_from_wrist: pose, jaw }
 }
 
-/// An upright sheet of 20 × 4 × 20 mm of which a forceps has closed on the upper 6 mm; its lower edge is held, or it
-/// hangs in the jaws.
-fn gripped(is_held: bool, squeeze: f64, mu: f64) -> (World, SoftId, Instrument) {
+/// Upright sheets of 4 mm whose upper 6 mm a forceps has closed on, so many elements wide and with their middle at x (m).
+/// Their lower edges are held, or they hang in the jaws.
+fn gripped_sheets<const N: usize>(
+    sheets: [(usize, f64); N],
+    is_held: bool,
+    squeeze: f64,
+    mu: f64,
+) -> (World, [SoftId; N], Instrument) {
     let mut world = World::new(Solver::LIGHT);
     let material = with_friction(material(20e3, 0.4, 1000.0), mu);
     let shelf = Pose::translation(0.0, 0.0, -0.03);
     let shelf = world.insert(Motion::Fixed, &shelf, 1.0, &[cuboid([0.02, 0.02, 0.01])]);
-    let body = block([5, 1, 5], 4e-3, material, &Pose::translation(0.0, 0.0, -0.01), |point| {
-        is_held && point.z < -9.9e-3
+    let ids = sheets.map(|(wide, x)| {
+        let at = Pose::translation(x, 0.0, -0.01);
+        let held = |point: &Point3<f64>| is_held && point.z < -9.9e-3;
+        world.insert_soft(block([wide, 1, 5], 4e-3, material.clone(), &at, held))
     });
-    let id = world.insert_soft(body);
     let open = down([0.0, 0.0, -6e-3], JAW_OPEN);
     let mut jaws = Instrument::with_jaws(&mut world, open, squeeze, Jaws::TISSUE_FORCEPS);
     let closed = down([0.0, 0.0, -6e-3], JAW_CLOSED);
@@ -183,26 +191,89 @@ fn gripped(is_held: bool, squeeze: f64, mu: f64) -> (World, SoftId, Instrument) 
     carry_out([&mut jaws], &mut world, [closed], 120);
     carry_out([&mut jaws], &mut world, [closed], 120);
     world.withdraw(shelf);
+    (world, ids, jaws)
+}
+
+/// One sheet of 20 × 4 × 20 mm.
+fn gripped(is_held: bool, squeeze: f64, mu: f64) -> (World, SoftId, Instrument) {
+    let (world, [id], jaws) = gripped_sheets([(5, 0.0)], is_held, squeeze, mu);
     (world, id, jaws)
+}
+
+/// The force of each finger 1 mm from its tip, where the squeeze is defined, N: what presses nearer to the hinge presses
+/// harder.
+fn squeezes(world: &World, jaws: &Instrument) -> [f64; 2] {
+    jaws.finger_bodies().map(|finger| {
+        let hinge = world.pose(finger).translation.vector;
+        let torque = |push: Push| (push.point.coords - hinge).cross(&push.force).x;
+        torque(world.push_on(&[finger])).abs() / (TIP_OFFSET - 1e-3)
+    })
 }
 
 #[test]
 fn jaws_full_of_tissue_press_with_their_squeeze() {
     for squeeze in [0.25, 0.5, 1.0] {
         let (world, id, jaws) = gripped(true, squeeze, 0.8);
-        // The squeeze is defined 1 mm from the tip; what presses nearer to the hinge presses harder.
-        let torques = jaws.finger_bodies().map(|finger| {
-            let push = world.push_on(&[finger]);
-            let hinge = world.pose(finger).translation.vector;
-            (push.point.coords - hinge).cross(&push.force).x.abs()
-        });
-        let found = torques.map(|torque| torque / (TIP_OFFSET - 1e-3));
+        let found = squeezes(&world, &jaws);
         println!("squeeze {squeeze} N: {found:.3?}, pressures {:.3?}", jaws.pressures(&world));
         assert_eq!(jaws.fingers_on(&world, id), 2);
         for force in found {
             assert!((force / squeeze - 1.0).abs() < 0.05, "{force} for {squeeze}");
         }
     }
+}
+
+#[test]
+fn jaws_on_two_bodies_press_with_their_squeeze_on_both_together() {
+    let squeeze = 0.5;
+    let (mut world, ids, mut jaws) =
+        gripped_sheets([(2, -4.2e-3), (2, 4.2e-3)], true, squeeze, 0.8);
+    let closed = *jaws.posture();
+    let mut mean = [0.0; 2];
+    for _ in 0..24 {
+        carry_out([&mut jaws], &mut world, [closed], 1);
+        for (mean, force) in mean.iter_mut().zip(squeezes(&world, &jaws)) {
+            *mean += force / 24.0;
+        }
+    }
+    println!(
+        "squeeze {squeeze} N: {mean:.3?}, fastest {:.4}",
+        world.soft(ids[0]).lattice().fastest()
+    );
+    for id in ids {
+        assert_eq!(jaws.fingers_on(&world, id), 2);
+    }
+    for force in mean {
+        assert!((force / squeeze - 1.0).abs() < 0.05, "{force} for {squeeze}");
+    }
+}
+
+#[test]
+fn a_body_that_hangs_over_a_narrow_wall_is_not_in_it() {
+    let mut world = World::new(Solver::LIGHT);
+    // Off the middle of the nodes, between which there are 4 mm.
+    let (half, wall) = ([0.5e-3, 0.05, 0.02], Pose::translation(2e-3, 0.0, -0.02));
+    world.insert(Motion::Fixed, &wall, 1.0, &[cuboid(half)]);
+    let material = with_friction(material(5e3, 0.45, 1000.0), 0.8);
+    let id = world.insert_soft(block(
+        [8, 4, 1],
+        4e-3,
+        material,
+        &Pose::translation(0.0, 0.0, 3e-3),
+        |_| false,
+    ));
+    advance(&mut world, 0.15);
+    let lattice = world.soft(id).lattice();
+    let gap = box_distance(&half.into());
+    let gaps = (-64..=64).map(|x| {
+        let under = Point3::new(0.25e-3 * f64::from(x), 0.0, -2e-3);
+        let place = MaterialPoint::of(lattice.form(), &under);
+        gap(&(wall.inverse() * lattice.point(&place)))
+    });
+    let (nearest, lowest) = (gaps.fold(f64::INFINITY, f64::min), lattice.bounds().min.z);
+    println!("lowest {:.2} mm, nearest to the wall {:.3} mm", 1e3 * lowest, 1e3 * nearest);
+    assert!(lowest < -3e-3 && nearest < 0.1e-3, "it does not hang: {lowest}, {nearest}");
+    assert!(nearest > -0.5e-3, "{nearest}");
 }
 
 #[test]
