@@ -30,6 +30,9 @@ const SPACING: f64 = 4e-3;
 /// Placements and moduli on which nothing was tuned.
 const SEEDS: Range<u64> = 50_000..50_200;
 
+/// Speed of the fastest node beyond which held tissue is not calm, m/s.
+const CALM: f64 = 20e-3;
+
 /// Substeps of a second.
 const SECOND: f64 = 240.0;
 
@@ -203,10 +206,16 @@ fn in_jaws(
     world.soft(id).points(places).map(|point| wrist_from_world * point).collect()
 }
 
-/// How many trials with these seeds end with the sheet in the jaws, and a row of the table.
+/// How many trials with these seeds end with the sheet in the jaws, and a row of the table, with what became of those in
+/// which it is lost or not calm.
 fn series(name: &str, trial: &Trial, seeds: Range<u64>) -> (usize, String) {
+    let first = seeds.clone();
     let outcomes: Vec<_> =
         seeds.into_par_iter().map(|seed| run(trial, &mut Rng::new(seed, 0))).collect();
+    let unlike = first.zip(&outcomes);
+    let unlike = unlike.filter(|(_, outcome)| !outcome.is_held || outcome.trembling > CALM);
+    let unlike = unlike.map(|(seed, outcome)| format!("\nseed {seed}: {outcome:?}"));
+    let unlike: String = unlike.collect();
     let count = outcomes.len();
     let held = outcomes.iter().filter(|outcome| outcome.is_held).count();
     let sorted = |of: fn(&Outcome) -> f64| {
@@ -221,7 +230,7 @@ fn series(name: &str, trial: &Trial, seeds: Range<u64>) -> (usize, String) {
     let strained = sorted(|outcome| 100.0 * outcome.strained);
     let (median, last) = (count / 2, count - 1);
     let row = format!(
-        "| {name} | {held} of {count} | {:.2} mm | {:.1} / {:.1} mm/s | {:.2} m/s | {:.2} N | {:.1} % |",
+        "| {name} | {held} of {count} | {:.2} mm | {:.1} / {:.1} mm/s | {:.2} m/s | {:.2} N | {:.1} % |{unlike}",
         slip[median],
         trembling[median],
         trembling[last],

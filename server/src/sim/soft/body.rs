@@ -122,7 +122,7 @@ impl SoftBody {
         proxies.iter_mut().for_each(Proxy::settle);
         let reach = (REACH + self.lattice.fastest() * seconds) as f32;
         let Self { lattice, skin, friction, contacts, .. } = self;
-        contacts.find_candidates(lattice, skin, friction, proxies, reach);
+        contacts.begin(lattice, skin, friction, proxies, reach);
         let mut left = seconds;
         while left > LEAST_STEP {
             let dt = lattice.find_forces(1.0, left);
@@ -155,8 +155,10 @@ impl SoftBody {
     pub(in crate::sim) fn deepest_overlap(&self, mut proxies: Vec<Proxy>) -> f64 {
         proxies.iter_mut().for_each(Proxy::settle);
         let mut contacts = Contacts::default();
-        contacts.find_candidates(&self.lattice, &self.skin, &self.friction, &proxies, 0.0);
-        contacts.deepest(&self.lattice, &proxies)
+        contacts.begin(&self.lattice, &self.skin, &self.friction, &proxies, 0.0);
+        let deepest = contacts.deepest(&self.lattice, &proxies);
+        contacts.finish();
+        deepest
     }
 }
 
@@ -172,7 +174,7 @@ impl NonRigid for SoftBody {
         let region = bounds.grown(REACH + self.lattice.fastest() * seconds);
         let (mut proxies, motors) = world.proxies_in(&region, &self.lattice.origin);
         self.pass(seconds, &mut proxies, &motors);
-        world.absorb(proxies, &self.lattice.origin, self.lattice.fastest());
+        world.absorb(&proxies, &self.lattice.origin, self.lattice.fastest());
     }
 
     fn bits(&self) -> Box<dyn Iterator<Item = u32> + '_> {

@@ -10,15 +10,14 @@ use nalgebra::{Matrix3, Vector3};
 
 use super::lattice::Lattice;
 
-/// Lets deformation die out at `rate` (1/s) for `seconds`.
+/// The part of a velocity that is left after `seconds` at `rate`, 1/s.
+pub(super) fn kept(rate: f64, seconds: f32) -> f32 {
+    1.0 / (1.0 + rate as f32 * seconds)
+}
+
+/// Lets the deformation of a body that nothing holds die out at `rate` (1/s) for `seconds`.
 pub(super) fn damp(lattice: &mut Lattice, rate: f64, seconds: f32) {
-    let keep = 1.0 / (1.0 + rate as f32 * seconds);
-    if lattice.form.has_held_nodes {
-        for velocity in lattice.v.iter_mut().flatten() {
-            *velocity *= keep;
-        }
-        return;
-    }
+    let keep = kept(rate, seconds);
     let rigid = Rigid::of(lattice);
     let [vx, vy, vz] = &mut lattice.v;
     let [x, y, z] = &lattice.x;

@@ -29,9 +29,10 @@
 //! all, over 3 λ', is a bound of the tangent stiffness relative to that at rest. In what follows it is the *tangent* of an
 //! element. The square of the greatest stable time step is at most as many times shorter than at rest.
 
-use wide::f32x8;
+#![allow(clippy::inline_always)] // what is not inlined is compiled for narrow registers only
 
-use super::lattice::{Form, LANES};
+use super::lanes::{LANES, Lanes};
+use super::lattice::Form;
 
 /// Adds the forces on all nodes, N, of a body whose moduli are `stiffness` times those of its form. Returns the greatest
 /// tangent of an element.
@@ -41,95 +42,101 @@ pub(super) fn add_forces(
     x: &[Vec<f32>; 3],
     forces: &mut [Vec<f32>; 3],
 ) -> f32 {
-    let h = form.grid.spacing as f32;
-    let nu = form.material.poissons_ratio as f32;
-    let stiffening = form.material.stiffening as f32;
-    // μ / (λ + μ) = 1 − 2ν
-    let ratio = 1.0 - 2.0 * nu;
-    let splat = |number: f32| f32x8::from([number; LANES]);
-    let constants = Constants {
-        stiffness: splat(stiffness),
-        stiffening: splat(stiffening),
-        stiffening_tangent: splat(2.0 * stiffening * ratio),
-        curved_at_rest: splat(ratio * (1.0 + f32::sqrt(3.0))),
-        gradient: splat(1.0 / (4.0 * h)),
-        area: splat(-h * h / 4.0),
-        // E = 2 μ (1 + ν); modes are 8 times their amplitude.
-        bending: splat(-2.0 * (1.0 + nu) * h / 48.0),
-        twisting: splat(-h / 48.0),
-    };
+    super::lanes::with_widest_registers!(add_forces_in_lanes(
+        form: &Form,
+        stiffness: f32,
+        x: &[Vec<f32>; 3],
+        forces: &mut [Vec<f32>; 3]
+    ) -> f32)
+}
+
+#[inline(always)]
+fn add_forces_in_lanes<L: Lanes>(
+    form: &Form,
+    stiffness: f32,
+    x: &[Vec<f32>; 3],
+    forces: &mut [Vec<f32>; 3],
+) -> f32 {
+    let constants = Constants::new(form, stiffness);
     let [_, row, layer] = form.grid.strides();
-    let [fx, fy, fz] = forces;
-    let forces = [fx.as_mut_slice(), fy.as_mut_slice(), fz.as_mut_slice()];
-    let [nx, ny, nz] = &form.grid.cells;
-    let mut most = splat(0.0);
-    for first in (0..*nz).map(|k| k * layer) {
+    let [nx, ny, nz] = form.grid.cells;
+    let mut most = L::splat(0.0);
+    for first in (0..nz).map(|k| k * layer) {
         let last = first + (ny - 1) * row + nx;
         let mut element = first;
         while element < last {
             // Past the last row of a layer there are elements of the next, or none.
-            let count = (last - element).min(LANES);
-            let mu = lanes(&form.mu, element, count);
-            let lambda = lanes(&form.lambda, element, count);
+            let count = last - element;
+            let mu = L::first(&form.mu[element..], count);
+            let lambda = L::first(&form.lambda[element..], count);
             let rows = [element, element + row, element + layer, element + layer + row];
-            let modes = [0, 1, 2].map(|axis| modes(&x[axis], rows));
-            let (force_modes, tangent) = force_modes(&constants, mu, lambda, &modes);
+            let modes = [modes(&x[0], rows), modes(&x[1], rows), modes(&x[2], rows)];
+            let (strain, tangent) = Strain::new(&constants, mu, lambda, &modes);
             most = most.max(tangent);
             for axis in 0..3 {
-                scatter(forces[axis], rows, &force_modes[axis]);
+                scatter(&mut forces[axis], rows, &strain.force_modes(axis, &modes[axis]));
             }
             element += LANES;
         }
     }
-    most.to_array().into_iter().fold(0.0, f32::max) / 3.0
+    most.numbers().into_iter().fold(0.0, f32::max) / 3.0
 }
 
 /// Numbers that all elements have in common.
 struct Constants {
-    stiffness: f32x8,
+    stiffness: f32,
     /// k, and 2 k μ/λ'.
-    stiffening: f32x8,
-    stiffening_tangent: f32x8,
+    stiffening: f32,
+    stiffening_tangent: f32,
     /// (μ + |q| |F|) / λ' at rest.
-    curved_at_rest: f32x8,
-    gradient: f32x8,
-    area: f32x8,
-    bending: f32x8,
-    twisting: f32x8,
+    curved_at_rest: f32,
+    gradient: f32,
+    area: f32,
+    bending: f32,
+    twisting: f32,
+}
+
+impl Constants {
+    fn new(form: &Form, stiffness: f32) -> Self {
+        let h = form.grid.spacing as f32;
+        let nu = form.material.poissons_ratio as f32;
+        let stiffening = form.material.stiffening as f32;
+        // μ / (λ + μ) = 1 − 2ν
+        let ratio = 1.0 - 2.0 * nu;
+        Self {
+            stiffness,
+            stiffening,
+            stiffening_tangent: 2.0 * stiffening * ratio,
+            curved_at_rest: ratio * (1.0 + f32::sqrt(3.0)),
+            gradient: 1.0 / (4.0 * h),
+            area: -h * h / 4.0,
+            // E = 2 μ (1 + ν); modes are 8 times their amplitude.
+            bending: -2.0 * (1.0 + nu) * h / 48.0,
+            twisting: -h / 48.0,
+        }
+    }
 }
 
 /// Sums of the eight corners with the signs of x, y, z, xy, xz, yz, xyz.
-type Modes = [f32x8; 7];
+type Modes<L> = [L; 7];
 
-/// The first `count` lanes of an array from a place on; the others are 0.
-#[inline]
-fn lanes(numbers: &[f32], first: usize, count: usize) -> f32x8 {
-    if count == LANES {
-        return load(numbers, first);
-    }
-    let mut lanes = [0.0; LANES];
-    lanes[..count].copy_from_slice(&numbers[first..first + count]);
-    f32x8::from(lanes)
+/// Sum and difference of both ends of edges along a row of nodes.
+#[inline(always)]
+fn ends<L: Lanes>(x: &[f32], row: usize) -> [L; 2] {
+    let (first, second) = (L::load(&x[row..]), L::load(&x[row + 1..]));
+    [first + second, second - first]
 }
 
-#[inline]
-fn load(numbers: &[f32], first: usize) -> f32x8 {
-    let lanes: &[f32; LANES] = numbers[first..first + LANES].try_into().expect("eight lanes");
-    f32x8::from(*lanes)
+/// Sums of four corners with the signs of nothing, y, x and xy.
+#[inline(always)]
+fn face<L: Lanes>(near: [L; 2], far: [L; 2]) -> [L; 4] {
+    [near[0] + far[0], far[0] - near[0], near[1] + far[1], far[1] - near[1]]
 }
 
-#[inline]
-fn modes(x: &[f32], rows: [usize; 4]) -> Modes {
-    // Along x: sum and difference in each of the four rows of corners.
-    let [a, b, c, d] = rows.map(|row| {
-        let (first, second) = (load(x, row), load(x, row + 1));
-        [first + second, second - first]
-    });
-    // Along y: lower and upper layer.
-    let along_y = |near: [f32x8; 2], far: [f32x8; 2]| {
-        [near[0] + far[0], far[0] - near[0], near[1] + far[1], far[1] - near[1]]
-    };
-    let (lower, upper) = (along_y(a, b), along_y(c, d));
+#[inline(always)]
+fn modes<L: Lanes>(x: &[f32], rows: [usize; 4]) -> Modes<L> {
+    let lower: [L; 4] = face(ends(x, rows[0]), ends(x, rows[1]));
+    let upper: [L; 4] = face(ends(x, rows[2]), ends(x, rows[3]));
     let [sum_lower, y_lower, x_lower, xy_lower] = lower;
     let [sum_upper, y_upper, x_upper, xy_upper] = upper;
     [
@@ -143,79 +150,129 @@ fn modes(x: &[f32], rows: [usize; 4]) -> Modes {
     ]
 }
 
-/// The coefficients of the forces' modes, of each component; and three times the tangent.
-#[inline]
-fn force_modes(
-    constants: &Constants,
-    mu: f32x8,
-    lambda: f32x8,
-    modes: &[Modes; 3],
-) -> ([Modes; 3], f32x8) {
-    let one = f32x8::from([1.0; LANES]);
-    let (mu, lambda) = (mu * constants.stiffness, lambda * constants.stiffness);
-    let [a, b, c] = [0, 1, 2]
-        .map(|component| [0, 1, 2].map(|axis: usize| modes[component][axis] * constants.gradient));
-    let cofactors = [cross(b, c), cross(c, a), cross(a, b)];
-    let det = a[0] * cofactors[0][0] + a[1] * cofactors[0][1] + a[2] * cofactors[0][2];
-    let zero = f32x8::from([0.0; LANES]);
-    let square = |rows: [[f32x8; 3]; 3]| {
-        let [p, q, r] = rows.map(|row| row[0] * row[0] + row[1] * row[1] + row[2] * row[2]);
-        p + q + r
-    };
-    let (f_square, c_square) = (square([a, b, c]), square(cofactors));
-    let sheared = (f_square - one - det - det).max(zero);
-    let (bending, twisting) = (constants.bending * mu, constants.twisting * mu);
-    let mu = mu * (one + constants.stiffening * sheared);
-    let pressure = lambda * (det - one) - mu;
-    // |F − C|² = |F|² − 6 J + |C|². Nothing is stiff where there is no element.
-    let six = f32x8::from([6.0; LANES]);
-    let tangent = c_square + constants.stiffening_tangent * (f_square - six * det + c_square);
-    let curved = (mu + pressure.abs() * f_square.sqrt()) / lambda;
-    let tangent = tangent + (curved - constants.curved_at_rest).max(zero);
-    let tangent = lambda.simd_gt(zero).select(tangent, zero);
-    let gradient = [a, b, c];
-    let force_modes = [0, 1, 2].map(|component: usize| {
-        let stress = |axis: usize| {
-            let stress = mu * gradient[component][axis] + pressure * cofactors[component][axis];
-            stress * constants.area
-        };
-        let hourglass = &modes[component];
-        [
-            stress(0),
-            stress(1),
-            stress(2),
-            bending * hourglass[3],
-            bending * hourglass[4],
-            bending * hourglass[5],
-            twisting * hourglass[6],
-        ]
-    });
-    (force_modes, tangent)
+/// How elements are deformed, and with what they resist.
+struct Strain<L> {
+    /// Rows of F, and of its cofactor matrix.
+    gradient: [[L; 3]; 3],
+    cofactors: [[L; 3]; 3],
+    /// P = `shear` F + `pressure` C, both times the area.
+    shear: L,
+    pressure: L,
+    bending: L,
+    twisting: L,
 }
 
-#[inline]
-fn cross(a: [f32x8; 3], b: [f32x8; 3]) -> [f32x8; 3] {
+impl<L: Lanes> Strain<L> {
+    /// That of elements with these modes; and three times their tangents.
+    #[inline(always)]
+    fn new(constants: &Constants, mu: L, lambda: L, modes: &[Modes<L>; 3]) -> (Self, L) {
+        let (mu, lambda) = (mu.times(constants.stiffness), lambda.times(constants.stiffness));
+        let scale = constants.gradient;
+        let (a, b, c) = (row(&modes[0], scale), row(&modes[1], scale), row(&modes[2], scale));
+        let (p, q, r) = (cross(b, c), cross(c, a), cross(a, b));
+        let det = dot(a, p);
+        let f_square = dot(a, a) + dot(b, b) + dot(c, c);
+        let c_square = dot(p, p) + dot(q, q) + dot(r, r);
+        let zero = L::splat(0.0);
+        let sheared = (f_square.plus(-1.0) - det - det).max(zero);
+        let (bending, twisting) = (mu.times(constants.bending), mu.times(constants.twisting));
+        let mu = mu * sheared.times(constants.stiffening).plus(1.0);
+        let pressure = lambda * det.plus(-1.0) - mu;
+        // |F − C|² = |F|² − 6 J + |C|². Nothing is stiff where there is no element.
+        let tangent =
+            c_square + (f_square - det.times(6.0) + c_square).times(constants.stiffening_tangent);
+        let curved = (mu + pressure.abs() * f_square.sqrt()) / lambda;
+        let tangent = tangent + curved.plus(-constants.curved_at_rest).max(zero);
+        let tangent = tangent.where_positive(lambda);
+        let (shear, pressure) = (mu.times(constants.area), pressure.times(constants.area));
+        let (gradient, cofactors) = ([a, b, c], [p, q, r]);
+        (Self { gradient, cofactors, shear, pressure, bending, twisting }, tangent)
+    }
+
+    /// The coefficients of the forces' modes of a component.
+    #[inline(always)]
+    fn force_modes(&self, component: usize, modes: &Modes<L>) -> Modes<L> {
+        let (f, c) = (self.gradient[component], self.cofactors[component]);
+        [
+            self.shear * f[0] + self.pressure * c[0],
+            self.shear * f[1] + self.pressure * c[1],
+            self.shear * f[2] + self.pressure * c[2],
+            self.bending * modes[3],
+            self.bending * modes[4],
+            self.bending * modes[5],
+            self.twisting * modes[6],
+        ]
+    }
+}
+
+/// A row of the deformation gradient.
+#[inline(always)]
+fn row<L: Lanes>(modes: &Modes<L>, scale: f32) -> [L; 3] {
+    [modes[0].times(scale), modes[1].times(scale), modes[2].times(scale)]
+}
+
+#[inline(always)]
+fn dot<L: Lanes>(a: [L; 3], b: [L; 3]) -> L {
+    a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+}
+
+#[inline(always)]
+fn cross<L: Lanes>(a: [L; 3], b: [L; 3]) -> [L; 3] {
     [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
 }
 
 /// Adds to each corner the sum of modes with its signs.
-#[inline]
-fn scatter(forces: &mut [f32], rows: [usize; 4], modes: &Modes) {
+#[inline(always)]
+fn scatter<L: Lanes>(forces: &mut [f32], rows: [usize; 4], modes: &Modes<L>) {
     let [x, y, z, xy, xz, yz, xyz] = *modes;
-    // Along z: what is multiplied by the sign along x, and what is not, each with both signs along y.
-    let layer = |z: f32x8, x: f32x8, y: f32x8, xy: f32x8| [[z - y, x - xy], [z + y, x + xy]];
-    let zero = f32x8::from([0.0; LANES]);
-    let lower = layer(zero - z, x - xz, y - yz, xy - xyz);
-    let upper = layer(z, x + xz, y + yz, xy + xyz);
-    for (row, [even, odd]) in rows.into_iter().zip(lower.into_iter().chain(upper)) {
-        add(forces, row, even - odd);
-        add(forces, row + 1, even + odd);
-    }
+    // Along z: what is multiplied by the sign along x (odd), and what is not (even), each with both signs along y.
+    let (x_lower, xy_lower, y_lower, z_lower) = (x - xz, xy - xyz, y - yz, -z);
+    let (x_upper, xy_upper, y_upper, z_upper) = (x + xz, xy + xyz, y + yz, z);
+    add_ends(forces, rows[0], z_lower - y_lower, x_lower - xy_lower);
+    add_ends(forces, rows[1], z_lower + y_lower, x_lower + xy_lower);
+    add_ends(forces, rows[2], z_upper - y_upper, x_upper - xy_upper);
+    add_ends(forces, rows[3], z_upper + y_upper, x_upper + xy_upper);
 }
 
-#[inline]
-fn add(forces: &mut [f32], first: usize, by: f32x8) {
-    let lanes: &mut [f32; LANES] =
-        (&mut forces[first..first + LANES]).try_into().expect("eight lanes");
-    *lanes = (f32x8::from(*lanes) + by).to_array();
+/// Adds even − odd to the first ends of edges along a row of nodes, and even + odd to their second ends.
+#[inline(always)]
+fn add_ends<L: Lanes>(forces: &mut [f32], row: usize, even: L, odd: L) {
+    let (first, second) = (even - odd, even + odd);
+    let (shifted, last) = second.shifted();
+    let there = L::load(&forces[row..]);
+    (there + first + shifted).store(&mut forces[row..]);
+    forces[row + LANES] += last;
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+
+    use super::*;
+    use crate::sim::frames::Pose;
+    use crate::sim::random::Rng;
+    use crate::sim::soft::{Lattice, Material};
+
+    #[test]
+    fn narrow_and_wide_registers_give_the_same_bits() {
+        let mut rng = Rng::new(3, 0);
+        for cells in [[15, 15, 2], [5, 3, 4], [1, 1, 1]] {
+            let form = Arc::new(Form::slab(cells, 4e-3, Material::named("fat").unwrap()).unwrap());
+            let mut lattice = Lattice::new(form.clone(), &Pose::identity());
+            for x in lattice.x.iter_mut().flatten() {
+                *x += rng.uniform(-2e-3, 2e-3) as f32;
+            }
+            let none = || [0, 1, 2].map(|_| vec![0.0; form.mass.len()]);
+            let (mut narrow, mut chosen) = (none(), none());
+            let stiffest = [
+                add_forces_in_lanes::<wide::f32x8>(&form, 0.7, &lattice.x, &mut narrow),
+                add_forces(&form, 0.7, &lattice.x, &mut chosen),
+            ];
+            assert_eq!(stiffest[0].to_bits(), stiffest[1].to_bits());
+            let bits = |forces: [Vec<f32>; 3]| {
+                forces.map(|each| each.into_iter().map(f32::to_bits).collect::<Vec<_>>())
+            };
+            assert_eq!(bits(narrow), bits(chosen), "{cells:?}");
+        }
+    }
 }

@@ -3,7 +3,7 @@
 //! Nodes are stored layer by layer, row by row, as arrays of x, y and z. Elements have the number of their first
 //! corner, so that a layer of elements is one run of memory, and what an element needs lies at fixed distances from
 //! its number. At the end of each row there is an element that has no material. So the kernel reads and writes
-//! [`LANES`] neighbours at once without lists of indices.
+//! [`LANES`](super::lanes::LANES) neighbours at once without lists of indices.
 //!
 //! Positions are f32, relative to an [origin](Lattice::origin) in the middle of the body: 4 nm at 50 mm.
 
@@ -11,13 +11,11 @@ use std::sync::Arc;
 
 use nalgebra::{Point3, Vector3};
 
+use super::lanes::LANES;
 use super::material::{MOST_NODES, Material, MaterialError};
 use super::{damping, elasticity};
 use crate::sim::frames::{Aabb, Pose};
 use crate::sim::world::{GRAVITY, SUBSTEPS_PER_SECOND};
-
-/// Elements that are computed at once, whatever the processor has: the order of sums depends on it.
-pub(super) const LANES: usize = 8;
 
 /// Corners of an element; bit 0, 1 and 2 of a corner's number are its place along x, y and z.
 pub(super) const CORNERS: usize = 8;
@@ -281,14 +279,18 @@ impl Lattice {
     /// Changes velocities by what these forces and damping do in `seconds`.
     pub fn kick(&mut self, seconds: f32) {
         let form = &*self.form;
+        let rate = form.material.damping;
+        // What is held is damped against the world in which it is held.
+        let keep = if form.has_held_nodes { damping::kept(rate, seconds) } else { 1.0 };
         for (velocities, forces) in self.v.iter_mut().zip(&self.forces.0) {
             let nodes = velocities.iter_mut().zip(forces).zip(&form.inverse_mass);
             for ((velocity, force), inverse_mass) in nodes {
-                *velocity += *force * inverse_mass * seconds;
+                *velocity = (*velocity + *force * inverse_mass * seconds) * keep;
             }
         }
-        let rate = form.material.damping;
-        damping::damp(self, rate, seconds);
+        if !form.has_held_nodes {
+            damping::damp(self, rate, seconds);
+        }
     }
 
     /// Moves nodes by their velocities.
@@ -324,12 +326,7 @@ impl Lattice {
 
     /// A box around its nodes, m.
     pub fn bounds(&self) -> Aabb {
-        let corners = self.x.each_ref().map(|x| {
-            let there = x.iter().zip(&self.form.mass).filter(|(_, mass)| **mass > 0.0);
-            there.fold([f32::INFINITY, f32::NEG_INFINITY], |[least, most], (x, _)| {
-                [least.min(*x), most.max(*x)]
-            })
-        });
+        let corners = self.x.each_ref().map(|x| extent(x, &self.form.mass));
         let [min, max] = [0, 1].map(|end: usize| {
             self.origin + Vector3::from(corners.map(|ends| f64::from(ends[end])))
         });
@@ -349,4 +346,22 @@ impl Lattice {
             signed.sum()
         })
     }
+}
+
+/// The least and the greatest number of those that have a mass.
+fn extent(numbers: &[f32], masses: &[f32]) -> [f32; 2] {
+    let (mut least, mut most) = ([f32::INFINITY; LANES], [f32::NEG_INFINITY; LANES]);
+    let blocks = numbers.chunks(LANES).zip(masses.chunks(LANES));
+    for (numbers, masses) in blocks {
+        for (lane, (number, mass)) in numbers.iter().zip(masses).enumerate() {
+            let low = if *mass > 0.0 { *number } else { f32::INFINITY };
+            let high = if *mass > 0.0 { *number } else { f32::NEG_INFINITY };
+            least[lane] = if low < least[lane] { low } else { least[lane] };
+            most[lane] = if high > most[lane] { high } else { most[lane] };
+        }
+    }
+    [
+        least.into_iter().fold(f32::INFINITY, f32::min),
+        most.into_iter().fold(f32::NEG_INFINITY, f32::max),
+    ]
 }

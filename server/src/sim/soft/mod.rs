@@ -4,11 +4,13 @@
 //! |---|---|
 //! | [`material`] | moduli, density, friction, strength; how many substeps a material needs |
 //! | [`lattice`] | elements and nodes, their masses, positions and velocities |
+//! | [`lanes`] | eight numbers at once, with the widest registers of the processor |
 //! | [`elasticity`] | forces: stable neo-Hookean, one point of integration, hourglass stiffness |
 //! | [`damping`] | deformation dies out, momenta stay |
 //! | [`carve`] | a lattice cut from a distance function |
 //! | [`skin`] | triangles that are seen, samples that touch |
 //! | [`proxy`], [`shape`] | rigid bodies in the substeps of soft ones |
+//! | [`candidates`] | samples that may touch rigid bodies in a step |
 //! | [`contact`] | contacts with them: Coulomb friction, impulses both ways |
 //! | [`body`] | a soft body in the world: what it has of all these, and sleep |
 //!
@@ -20,10 +22,12 @@
 //! are the same on every processor.
 
 mod body;
+mod candidates;
 mod carve;
 mod contact;
 mod damping;
 mod elasticity;
+mod lanes;
 mod lattice;
 mod material;
 pub(in crate::sim) mod proxy;

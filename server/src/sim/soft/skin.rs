@@ -15,8 +15,9 @@ use nalgebra::{Matrix3, Point3, Vector3};
 use super::lattice::{CORNERS, Form, Lattice};
 use crate::sim::frames::Aabb;
 
-/// Distance of neighbouring samples where instruments touch, m: jaws are 1.8 mm wide and more.
-const SAMPLE_SPACING: f64 = 1e-3;
+/// Distance of neighbouring samples where instruments touch, m, at most: jaws are 1.8 mm wide and more. More samples
+/// than nodes only say the same again.
+const SAMPLE_SPACING: f64 = 1.4e-3;
 
 /// A point of the body.
 #[derive(Debug, Clone, Copy, PartialEq)]

@@ -200,11 +200,11 @@ impl World {
     /// Takes over what a soft body with this `origin`, whose fastest node has this speed (m/s), did to `proxies`.
     pub(in crate::sim) fn absorb(
         &mut self,
-        proxies: Vec<Proxy>,
+        proxies: &[Proxy],
         origin: &Vector3<f64>,
         fastest: f64,
     ) {
-        for proxy in &proxies {
+        for proxy in proxies {
             let (handle, load) = (proxy.handle, proxy.load);
             if load.pressing > 0.0 {
                 self.soft_touches.push(SoftTouch {
@@ -216,7 +216,7 @@ impl World {
                 });
             }
             if self.is_hinged(handle) {
-                self.absorb_finger(proxy, self.is_pair_pressed(handle, &proxies));
+                self.absorb_finger(proxy, self.is_pair_pressed(handle, proxies));
             } else if self.moving().any(|body| *body == handle) {
                 if self.bodies[handle].is_sleeping() {
                     if fastest > WAKING {

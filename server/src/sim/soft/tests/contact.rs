@@ -251,28 +251,31 @@ fn jaws_on_two_bodies_press_with_their_squeeze_on_both_together() {
 #[test]
 fn a_body_that_hangs_over_a_narrow_wall_is_not_in_it() {
     let mut world = World::new(Solver::LIGHT);
-    // Off the middle of the nodes, between which there are 4 mm.
-    let (half, wall) = ([0.5e-3, 0.05, 0.02], Pose::translation(2e-3, 0.0, -0.02));
+    // Between nodes, which are 4 mm apart.
+    let (half, wall) = ([1e-3, 0.05, 0.02], Pose::translation(2e-3, 0.0, -0.02));
     world.insert(Motion::Fixed, &wall, 1.0, &[cuboid(half)]);
     let material = with_friction(material(5e3, 0.45, 1000.0), 0.8);
-    let id = world.insert_soft(block(
-        [8, 4, 1],
-        4e-3,
-        material,
-        &Pose::translation(0.0, 0.0, 3e-3),
-        |_| false,
-    ));
-    advance(&mut world, 0.15);
-    let lattice = world.soft(id).lattice();
+    let at = Pose::translation(0.0, 0.0, 3e-3);
+    let id = world.insert_soft(block([8, 4, 1], 4e-3, material, &at, |_| false));
     let gap = box_distance(&half.into());
-    let gaps = (-64..=64).map(|x| {
-        let under = Point3::new(0.25e-3 * f64::from(x), 0.0, -2e-3);
-        let place = MaterialPoint::of(lattice.form(), &under);
-        gap(&(wall.inverse() * lattice.point(&place)))
-    });
-    let (nearest, lowest) = (gaps.fold(f64::INFINITY, f64::min), lattice.bounds().min.z);
+    let nearest = |world: &World| {
+        let lattice = world.soft(id).lattice();
+        let gaps = (-64..=64).map(|x| {
+            let under = Point3::new(0.25e-3 * f64::from(x), 0.0, -2e-3);
+            let place = MaterialPoint::of(lattice.form(), &under);
+            gap(&(wall.inverse() * lattice.point(&place)))
+        });
+        gaps.fold(f64::INFINITY, f64::min)
+    };
+    let mut gaps = vec![];
+    for _ in 0..36 {
+        world.advance();
+        gaps.push(nearest(&world));
+    }
+    let lowest = world.soft(id).lattice().bounds().min.z;
+    let nearest = gaps.into_iter().fold(f64::INFINITY, f64::min);
     println!("lowest {:.2} mm, nearest to the wall {:.3} mm", 1e3 * lowest, 1e3 * nearest);
-    assert!(lowest < -3e-3 && nearest < 0.1e-3, "it does not hang: {lowest}, {nearest}");
+    assert!((-0.03..-3e-3).contains(&lowest), "it does not hang: {lowest}");
     assert!(nearest > -0.5e-3, "{nearest}");
 }
 

@@ -1,0 +1,302 @@
+//! Samples of the skin that may touch a rigid part before a step of the world ends: found once a step.
+//!
+//! What moves meets all samples, [`Skin::fine`]. What stands still is mostly large and flat and meets the vertices,
+//! [`Skin::coarse`]; all samples, where it has an edge or is narrow.
+
+use nalgebra::Vector3;
+use wide::f32x4;
+
+use super::lattice::{CORNERS, Lattice};
+use super::material::Friction;
+use super::proxy::{PartProxy, Proxy};
+use super::skin::{MaterialPoint, Samples, Skin};
+
+/// Weight of a corner that counts: more than rounding. Otherwise a sample between nodes that are held would be as heavy
+/// as the weight of its free ones is small.
+const LEAST_WEIGHT: f32 = 1e-4;
+
+/// Added to the number of a sample between those that meet a static body.
+const FINE: usize = 1 << 23;
+
+/// A sample that may touch a part in this step.
+#[derive(Debug, Clone)]
+pub(super) struct Candidate {
+    /// Tells the pair of sample and part from others, from step to step.
+    pub key: u64,
+    pub proxy: u16,
+    pub part: u16,
+    pub friction: f32,
+    /// The nodes that count, by their numbers among [`Nodes`]; how much, and that over their masses.
+    count: u8,
+    nodes: [u16; CORNERS],
+    weights: [f32; CORNERS],
+    mobilities: [f32; CORNERS],
+    /// Σ w²/m, 1/kg.
+    pub mobility: f32,
+    /// The impulse of the substep before, N·s, axes of the world.
+    pub impulse: Vector3<f32>,
+}
+
+impl Candidate {
+    /// A sample beside a part; `key`, `proxy`, `part` and `friction` are to be set.
+    fn new(lattice: &Lattice, place: &MaterialPoint, nodes: &mut Nodes) -> Self {
+        let mut candidate = Self {
+            key: 0,
+            proxy: 0,
+            part: 0,
+            friction: 0.0,
+            count: 0,
+            nodes: [0; CORNERS],
+            weights: [0.0; CORNERS],
+            mobilities: [0.0; CORNERS],
+            mobility: 0.0,
+            impulse: Vector3::zeros(),
+        };
+        let offsets = lattice.form.grid.corner_offsets();
+        for (weight, offset) in place.weights().into_iter().zip(offsets) {
+            if weight.abs() > LEAST_WEIGHT {
+                let node = place.element as usize + offset;
+                let index = candidate.count as usize;
+                let mobility = weight * lattice.form.inverse_mass[node];
+                candidate.nodes[index] = nodes.number(node);
+                candidate.weights[index] = weight;
+                candidate.mobilities[index] = mobility;
+                candidate.mobility += weight * mobility;
+                candidate.count += 1;
+            }
+        }
+        candidate
+    }
+
+    /// What the sample has of something that its nodes have.
+    #[inline]
+    pub(super) fn mean(&self, of: &[f32x4]) -> Vector3<f32> {
+        let mut sum = f32x4::from([0.0; 4]);
+        for (node, weight) in self.nodes.iter().zip(&self.weights).take(self.count as usize) {
+            sum += of[*node as usize] * f32x4::from([*weight; 4]);
+        }
+        let [x, y, z, _] = sum.to_array();
+        Vector3::new(x, y, z)
+    }
+
+    /// Gives an impulse to its nodes.
+    #[inline]
+    pub(super) fn push(&self, impulse: &Vector3<f32>, velocities: &mut [f32x4]) {
+        let lanes = f32x4::from([impulse.x, impulse.y, impulse.z, 0.0]);
+        for (node, mobility) in self.nodes.iter().zip(&self.mobilities).take(self.count as usize) {
+            velocities[*node as usize] += lanes * f32x4::from([*mobility; 4]);
+        }
+    }
+}
+
+/// The nodes near contacts.
+#[derive(Debug, Default)]
+pub(super) struct Nodes {
+    /// The number of each node, or [`NONE`].
+    number_of: Vec<u16>,
+    /// Which of the lattice's they are.
+    in_lattice: Vec<u32>,
+    /// Where they are, m from the lattice's origin, and how they move, m/s.
+    pub places: Vec<f32x4>,
+    pub velocities: Vec<f32x4>,
+}
+
+const NONE: u16 = u16::MAX;
+
+impl Nodes {
+    fn number(&mut self, node: usize) -> u16 {
+        let number = &mut self.number_of[node];
+        if *number == NONE {
+            *number = self.in_lattice.len() as u16;
+            self.in_lattice.push(node as u32);
+        }
+        *number
+    }
+
+    fn clear(&mut self, nodes: usize) {
+        if self.number_of.len() == nodes {
+            for node in self.in_lattice.drain(..) {
+                self.number_of[node as usize] = NONE;
+            }
+        } else {
+            self.in_lattice.clear();
+            self.number_of = vec![NONE; nodes];
+        }
+    }
+
+    /// Takes over where they are and how they move.
+    pub(super) fn load(&mut self, lattice: &Lattice) {
+        let Self { in_lattice, places, velocities, .. } = self;
+        let of = |numbers: &[Vec<f32>; 3], node: u32| {
+            let [x, y, z] = numbers;
+            let node = node as usize;
+            f32x4::from([x[node], y[node], z[node], 0.0])
+        };
+        places.clear();
+        places.extend(in_lattice.iter().map(|node| of(&lattice.x, *node)));
+        velocities.clear();
+        velocities.extend(in_lattice.iter().map(|node| of(&lattice.v, *node)));
+    }
+
+    /// Hands back how they move.
+    pub(super) fn store(&self, lattice: &mut Lattice) {
+        for (node, velocity) in self.in_lattice.iter().zip(&self.velocities) {
+            let [x, y, z, _] = velocity.to_array();
+            for (axis, velocity) in [x, y, z].into_iter().enumerate() {
+                lattice.v[axis][*node as usize] = velocity;
+            }
+        }
+    }
+}
+
+/// The candidates of a step, each kind in the order of keys.
+#[derive(Debug, Default)]
+pub(super) struct Candidates {
+    /// Beside what stands still in this step.
+    pub fixed: Vec<Candidate>,
+    /// Beside what moves.
+    pub moving: Vec<Candidate>,
+    pub nodes: Nodes,
+    boxes: Boxes,
+}
+
+impl Candidates {
+    /// Whether anything may be touched in this step.
+    pub(super) fn are_none(&self) -> bool {
+        self.fixed.is_empty() && self.moving.is_empty()
+    }
+
+    /// Finds the samples that may touch a part before `reach` (m) is covered.
+    pub(super) fn find(
+        &mut self,
+        lattice: &Lattice,
+        skin: &Skin,
+        friction: &Friction,
+        proxies: &[Proxy],
+        reach: f32,
+    ) {
+        let Self { fixed, moving, nodes, boxes } = self;
+        fixed.clear();
+        moving.clear();
+        if proxies.is_empty() {
+            return;
+        }
+        boxes.load(lattice);
+        nodes.clear(lattice.form.mass.len());
+        for (number, proxy) in proxies.iter().enumerate() {
+            let friction = if proxy.is_profiled { friction.profiled } else { friction.smooth };
+            let found = if proxy.is_static { &mut *fixed } else { &mut *moving };
+            for (part_number, part) in proxy.parts.iter().enumerate() {
+                let key = u64::from(proxy.key()) << 32 | (part_number as u64) << 24;
+                let mut add = |index: usize, place: &MaterialPoint| {
+                    if part.gap(&lattice.local(place).into(), reach).is_some() {
+                        found.push(Candidate {
+                            key: key | index as u64,
+                            proxy: number as u16,
+                            part: part_number as u16,
+                            friction: friction as f32,
+                            ..Candidate::new(lattice, place, nodes)
+                        });
+                    }
+                };
+                let near = Region::around(part, reach);
+                if proxy.is_static {
+                    near.samples(boxes, &skin.coarse, |_| true, &mut add);
+                    let is_sharp = |element: &Region| part.is_sharp_near(element, skin.spacing);
+                    let add_fine = |index, place: &_| add(index | FINE, place);
+                    near.samples(boxes, &skin.fine, is_sharp, add_fine);
+                } else {
+                    near.samples(boxes, &skin.fine, |_| true, add);
+                }
+            }
+        }
+    }
+}
+
+/// A box, m from the lattice's origin, axes of the world.
+struct Region {
+    min: Vector3<f32>,
+    max: Vector3<f32>,
+}
+
+impl Region {
+    fn around(part: &PartProxy, reach: f32) -> Self {
+        let [centre, half] = part.shape.bounds();
+        let centre = part.at.origin + part.at.axes * centre;
+        let half = part.at.axes.abs() * half + Vector3::repeat(reach);
+        Self { min: centre - half, max: centre + half }
+    }
+
+    fn meets(&self, other: &Self) -> bool {
+        (0..3).all(|axis| self.min[axis] <= other.max[axis] && self.max[axis] >= other.min[axis])
+    }
+
+    /// Visits the samples in elements that meet it and that `counts` does not leave out.
+    fn samples(
+        &self,
+        boxes: &Boxes,
+        samples: &Samples,
+        counts: impl Fn(&Self) -> bool,
+        mut visit: impl FnMut(usize, &MaterialPoint),
+    ) {
+        for (element, range) in &samples.elements {
+            let region = boxes.of(*element as usize);
+            if region.meets(self) && counts(&region) {
+                for index in range.clone() {
+                    visit(index as usize, &samples.places[index as usize]);
+                }
+            }
+        }
+    }
+}
+
+/// Boxes around all elements, by their numbers.
+#[derive(Debug, Default)]
+struct Boxes {
+    min: [Vec<f32>; 3],
+    max: [Vec<f32>; 3],
+}
+
+impl Boxes {
+    fn load(&mut self, lattice: &Lattice) {
+        let strides = lattice.form.grid.strides();
+        let least = |one: f32, other: f32| if one < other { one } else { other };
+        let most = |one: f32, other: f32| if one > other { one } else { other };
+        for (axis, x) in lattice.x.iter().enumerate() {
+            spread(&mut self.min[axis], x, strides, least);
+            spread(&mut self.max[axis], x, strides, most);
+        }
+    }
+
+    fn of(&self, element: usize) -> Region {
+        let of = |numbers: &[Vec<f32>; 3]| {
+            Vector3::new(numbers[0][element], numbers[1][element], numbers[2][element])
+        };
+        Region { min: of(&self.min), max: of(&self.max) }
+    }
+}
+
+/// Makes each of `numbers` the `chosen` one of those of `x` at the corners of its element.
+fn spread(
+    numbers: &mut Vec<f32>,
+    x: &[f32],
+    strides: [usize; 3],
+    chosen: impl Fn(f32, f32) -> f32,
+) {
+    numbers.clear();
+    numbers.extend_from_slice(x);
+    for stride in strides {
+        // Numbers further on are still those of the stride before.
+        for index in 0..numbers.len() - stride {
+            numbers[index] = chosen(numbers[index], numbers[index + stride]);
+        }
+    }
+}
+
+impl PartProxy {
+    /// Whether its surface has an edge within `reach` of a region, or is curved as narrowly as that.
+    fn is_sharp_near(&self, near: &Region, reach: f32) -> bool {
+        let middle = self.at.axes.tr_mul(&(0.5 * (near.min + near.max) - self.at.origin));
+        self.shape.is_sharp_near(&middle, reach + 0.5 * (near.max - near.min).norm())
+    }
+}
