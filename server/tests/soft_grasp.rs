@@ -30,8 +30,8 @@ const SPACING: f64 = 4e-3;
 /// Placements and moduli on which nothing was tuned.
 const SEEDS: Range<u64> = 50_000..50_200;
 
-/// Speed of the fastest node beyond which held tissue is not calm, m/s.
-const CALM: f64 = 20e-3;
+/// Speed of the fastest node beyond which held tissue is not at rest, m/s.
+const RESTING: f64 = 20e-3;
 
 /// Substeps of a second.
 const SECOND: f64 = 240.0;
@@ -213,7 +213,7 @@ fn series(name: &str, trial: &Trial, seeds: Range<u64>) -> (usize, String) {
     let outcomes: Vec<_> =
         seeds.into_par_iter().map(|seed| run(trial, &mut Rng::new(seed, 0))).collect();
     let unlike = first.zip(&outcomes);
-    let unlike = unlike.filter(|(_, outcome)| !outcome.is_held || outcome.trembling > CALM);
+    let unlike = unlike.filter(|(_, outcome)| !outcome.is_held || outcome.trembling > RESTING);
     let unlike = unlike.map(|(seed, outcome)| format!("\nseed {seed}: {outcome:?}"));
     let unlike: String = unlike.collect();
     let count = outcomes.len();
