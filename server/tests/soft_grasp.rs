@@ -207,7 +207,7 @@ fn in_jaws(
 }
 
 /// How many trials with these seeds end with the sheet in the jaws, and a row of the table, with what became of those in
-/// which it is lost or not calm.
+/// which it is lost or not at rest.
 fn series(name: &str, trial: &Trial, seeds: Range<u64>) -> (usize, String) {
     let first = seeds.clone();
     let outcomes: Vec<_> =
