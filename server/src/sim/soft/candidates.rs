@@ -178,11 +178,11 @@ impl Candidates {
         let Self { fixed, moving, nodes, boxes } = self;
         fixed.clear();
         moving.clear();
+        nodes.clear(lattice.form.mass.len());
         if proxies.is_empty() {
             return;
         }
         boxes.load(lattice);
-        nodes.clear(lattice.form.mass.len());
         for (number, proxy) in proxies.iter().enumerate() {
             let friction = if proxy.is_profiled { friction.profiled } else { friction.smooth };
             let found = if proxy.is_static { &mut *fixed } else { &mut *moving };

@@ -98,7 +98,7 @@ pub struct Skin {
     pub(super) triangles: Vec<[u32; 3]>,
     /// Where instruments and what moves freely touch it.
     pub(super) fine: Samples,
-    /// Where what stands still touches it: the vertices, and all samples near its edges.
+    /// Where what stands still touches it, but near its edges: the vertices.
     pub(super) coarse: Samples,
     /// Distance of neighbouring vertices, m.
     pub(super) spacing: f32,

@@ -235,10 +235,9 @@ impl World {
     /// Whether either of the pair of fingers to which this one belongs was pressed.
     fn is_pair_pressed(&self, finger: RigidBodyHandle, proxies: &[Proxy]) -> bool {
         let pair = self.grips.iter().find(|grip| grip.fingers.contains(&finger));
-        pair.is_some_and(|grip| {
-            let pressed = proxies.iter().filter(|proxy| proxy.load.pressing > 0.0);
-            pressed.into_iter().any(|proxy| grip.fingers.contains(&proxy.handle))
-        })
+        let pressed = |proxy: &&Proxy| proxy.load.pressing > 0.0;
+        let mut pressed = proxies.iter().filter(pressed);
+        pair.is_some_and(|grip| pressed.any(|proxy| grip.fingers.contains(&proxy.handle)))
     }
 
     /// Takes over what a soft body did to a finger. A finger that passed beside one soft body goes with it, and others

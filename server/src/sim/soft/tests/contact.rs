@@ -249,6 +249,19 @@ fn jaws_on_two_bodies_press_with_their_squeeze_on_both_together() {
 }
 
 #[test]
+fn a_body_that_nothing_is_near_overlaps_nothing_after_a_larger_one_was_looked_at() {
+    let mut world = World::new(Solver::LIGHT);
+    world.insert(Motion::Fixed, &Pose::identity(), 1.0, &[cuboid([0.05, 0.05, 5e-3])]);
+    let near = Pose::translation(0.0, 0.0, 8e-3);
+    let far = Pose::translation(0.0, 0.0, 1.0);
+    let fat = || material(5e3, 0.45, 1000.0);
+    let large = world.insert_soft(block([8, 8, 2], 4e-3, fat(), &near, |_| false));
+    let small = world.insert_soft(block([1, 1, 1], 4e-3, fat(), &far, |_| false));
+    assert!(world.soft_overlap(large) > 0.5e-3);
+    assert_eq!(world.soft_overlap(small), 0.0);
+}
+
+#[test]
 fn a_body_that_hangs_over_a_narrow_wall_is_not_in_it() {
     let mut world = World::new(Solver::LIGHT);
     // Between nodes, which are 4 mm apart.
