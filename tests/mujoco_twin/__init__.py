@@ -1,0 +1,1 @@
+"""A second physics engine behind the arm interface of the dVRK; README.md says what it is for."""

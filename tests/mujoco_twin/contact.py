@@ -1,0 +1,77 @@
+"""The numbers of contacts in the twin, each with its source.
+
+They were fixed before any policy or expert ran in the twin. *Manual* is MuJoCo's documentation,
+https://mujoco.readthedocs.io: the pages XML Reference, Computation and Modeling.
+"""
+
+from __future__ import annotations
+
+TIMESTEP = 1.0 / 2400.0
+"""Time step, s: ten of them in one tick of 1/240 s.
+
+Contacts can be as stiff as the time step allows, see :data:`SOLREF`.
+"""
+
+GRAVITY = 9.81
+"""Acceleration of gravity, m/s²."""
+
+INTEGRATOR = "implicitfast"
+"""Manual, on numerical integration: for models with forces that depend on velocities.
+
+The servos of the joints damp.
+"""
+
+SOLVER, ITERATIONS, TOLERANCE = "Newton", 100, 1e-10
+"""Manual, on algorithms: Newton's method is the most exact of the solvers.
+
+100 iterations are the default. The tolerance is 100 times less than the default, since objects
+weigh less than a gram.
+"""
+
+CONE = "elliptic"
+"""Manual, on ``option/cone``: elliptic cones model reality better.
+
+With a pyramid, friction would depend on the direction of the pull.
+"""
+
+IMPRATIO = 100.0
+"""Stiffness of friction over that of the normal direction.
+
+Manual, on slip of contacts: a large ratio keeps grasped objects from creeping, where cones are
+elliptic. MuJoCo Menagerie has 100 for feet (``unitree_a1/a1.xml``) and 10 for a gripper
+(``robotiq_2f85/2f85.xml``). By Coulomb's law, what is held does not creep. A needle that is held by
+1 N creeps by 4 µm/s with 100 and by 43 µm/s with 10.
+"""
+
+CONDIM = 3
+"""Friction along both tangents, none about the normal, none against rolling.
+
+Manual, on ``geom/condim``: torsional friction stands for an area where there is one point. Here a
+wire touches a jaw at both ends of a line, and boxes touch at the corners of an area.
+"""
+
+SOLREF = (2.0 * TIMESTEP, 1.0)
+"""Time constant (s) and damping ratio of contacts.
+
+Manual, on parameters of the solver: the time constant should be at least twice the time step, and
+a ratio of 1 damps critically. Steel, acetal and silicone sink in by micrometres under 1 N, so
+contacts are as stiff as they may be.
+"""
+
+SOLIMP = (0.999, 0.999, 0.001, 0.5, 2.0)
+"""Impedance d, the same at any depth; the last three numbers then do nothing.
+
+Manual, page Computation: under a force F, a body of mass m sinks in by (1 - d) / d · t² · F / m,
+with t as in :data:`SOLREF`. That is 2 µm for the needle of 0.36 g under 1 N. With 0.99, the
+greatest of Menagerie's 2F-85, it is 20 µm. Steel on steel sinks in by less than a micrometre.
+"""
+
+NOSLIP_ITERATIONS = 0
+"""Manual, on slip of contacts: the pass against slip leaves the model. It is off, as by default."""
+
+FINGER_FRICTION = 1.0
+"""Coefficient of friction of the jaws, whatever they touch (``server/src/sim/instrument.rs``).
+
+All else has the coefficient of its material in ``assets/materials.csv``. Where two of these meet,
+MuJoCo takes the greater. They are 1.0 for all that the scenes have.
+"""
