@@ -29,9 +29,10 @@ PLOT_VENV := .venv-plot
 WHEEL_TESTS := $(addprefix tests/test_,$(addsuffix .py,conventions env front_door goals package reset_options seeds vector)) \
 	-k "not stubs" -m "not grasp"
 # Python files under ruff, as seen from client-py/, whose pyproject.toml has the rules.
-PYTHON_CODE := . ../tests/prose.py ../tests/vocabulary.py ../server/cli/src/demo ../server/cli/src/bench ../server/cli/src/load ../server/view/tests ../tests/ros2
+PYTHON_CODE := . ../tests/prose.py ../tests/vocabulary.py ../server/cli/src/demo ../server/cli/src/bench ../server/cli/src/load ../server/view/tests ../tests/ros2 ../tests/mujoco_twin
 # What people train with, each with the Gymnasium that it needs.
 RL_BIN := $(abspath .venv-rl/bin)
+MUJOCO_BIN := $(abspath .venv-mujoco/bin)
 RLLIB_BIN := $(abspath .venv-rllib/bin)
 RL_TEST := TROCAR_BINARY=$(TARGET)/debug/trocar
 # Builds the bindings where the sources are, for every virtual environment that has a path to them. Installing the
@@ -170,6 +171,7 @@ test-faults: ## calls of the kernel fail, one after the other, by strace, which 
 .PHONY: test-python
 test-python: develop ## * Python with the newest Gymnasium: types, stubs, tests
 	cd client-py && $(BIN)/mypy && $(BIN)/mypy ../tests/prose.py ../tests/vocabulary.py && for worker in demo bench load; do $(BIN)/mypy ../server/cli/src/$$worker/worker.py; done
+	cd client-py && MYPYPATH=python:../tests $(BIN)/mypy ../tests/mujoco_twin/*.py
 	cd client-py && TROCAR_BINARY=$(TARGET)/debug/trocar $(BIN)/python -m pytest -n auto --maxprocesses 4 --dist worksteal
 	TROCAR_PYTHON=$(BIN)/python $(CARGO) test $(RUST) --test load python_clients
 
@@ -192,6 +194,10 @@ test-browser: lint-viewer $(VENV)/ready ## * the live viewer in a headless Chrom
 	if command -v npm; then cd server/view && npm ci --ignore-scripts --no-audit --no-fund && node build.mjs --check; fi
 	cd client-py && $(BIN)/mypy ../server/view/tests/*.py
 	cd client-py && TROCAR_BINARY=$(TARGET)/debug/trocar timeout --signal=INT 900 $(BIN)/python -m pytest -c pyproject.toml ../server/view/tests
+
+.PHONY: test-mujoco
+test-mujoco: develop .venv-mujoco/ready ## * the twin in another engine against closed forms, its arm against dVRK's
+	cd client-py && TROCAR_BINARY=$(TARGET)/debug/trocar $(MUJOCO_BIN)/python -m pytest -c pyproject.toml ../tests/mujoco_twin
 
 # In a network of its own, where nothing else is found and nothing gets out.
 .PHONY: test-ros2
@@ -310,7 +316,7 @@ fmt: $(VENV)/ready ## * formats Rust and Python
 .PHONY: clean
 clean: ## removes all that the targets above made
 	$(CARGO) clean
-	rm -rf $(VENV) $(WHEEL_VENV) $(PLOT_VENV) .venv-rl .venv-rllib .venv-bullet .venv-ros2 dist client-py/python/trocar/*.so server/view/node_modules
+	rm -rf $(VENV) $(WHEEL_VENV) $(PLOT_VENV) .venv-rl .venv-rllib .venv-bullet .venv-mujoco .venv-ros2 dist client-py/python/trocar/*.so server/view/node_modules
 
 # The program, the example of an own task and the Python package of this tree, in the profile that tests use.
 .PHONY: develop

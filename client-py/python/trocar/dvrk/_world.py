@@ -74,6 +74,8 @@ class World:
             centres.
         complain: What is told of warnings and errors of arms: the arm, and the words.
         view: How ``world.live.render()`` draws the world, as ``render_options`` of environments.
+        live: A world that another engine simulates: an object with the methods of
+            :class:`trocar._trocar.LiveWorld`. No server is asked for one then.
     """
 
     def __init__(
@@ -89,8 +91,9 @@ class World:
         in_world: bool = False,
         complain: Callable[[str, str], object] | None = None,
         view: Mapping[str, Any] | None = None,
+        live: Any = None,
     ) -> None:
-        self.live: _trocar.LiveWorld = connect(server).open_live(
+        self.live: _trocar.LiveWorld = live or connect(server).open_live(
             task, seed=seed, options=options, homing=homing, speed=speed, world=world, view=view
         )
         self.feeds = {name: Feed() for name in self.live.arms}
