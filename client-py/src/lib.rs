@@ -35,6 +35,7 @@ fn _trocar(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<snapshot::Snapshot>()?;
     module.add_class::<spec::TaskSpec>()?;
     module.add_class::<spec::Element>()?;
+    module.add_class::<spec::GoalPart>()?;
     module.add_class::<spec::ImageSpec>()?;
     module.add_class::<spec::OptionSpec>()?;
     module.add_function(wrap_pyfunction!(unique_name, module)?)?;

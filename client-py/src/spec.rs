@@ -7,7 +7,7 @@ use numpy::{Element as Number, PyArrayDyn};
 use pyo3::prelude::*;
 use pyo3::types::{PyBool, PyBytes, PyDict, PyString};
 use trocar_client::proto::control::{MAX_MESSAGE, decode, encode};
-use trocar_client::proto::goal::{Reward, SuccessRule};
+use trocar_client::proto::goal::{self, Reward, SuccessRule};
 use trocar_client::proto::relative::{Bound as Limit, Place, Rule};
 use trocar_client::proto::spec;
 use trocar_client::{Code, OptionValue, Rejection};
@@ -83,6 +83,14 @@ impl TaskSpec {
     #[getter]
     fn goal(&self) -> Option<Vec<Element>> {
         self.spec.goal.as_ref().map(|goal| elements(&goal.elements))
+    }
+
+    /// None where the goal is one whole, or where there is none.
+    #[getter]
+    fn goal_parts(&self) -> Vec<GoalPart> {
+        let success = self.spec.goal.as_ref().map(|goal| &goal.success);
+        let Some(SuccessRule::Parts(parts)) = success else { return vec![] };
+        parts.iter().cloned().map(GoalPart::from).collect()
     }
 
     #[getter]
@@ -330,6 +338,32 @@ fn elements(elements: &[spec::Element]) -> Vec<Element> {
         Element { name, frame, unit, min, max, saturates }
     };
     elements.iter().map(copy).collect()
+}
+
+/// Some numbers of a goal that belong together.
+#[pyclass(frozen, get_all, eq, module = "trocar._trocar")]
+#[derive(Clone, PartialEq)]
+pub(crate) struct GoalPart {
+    name: String,
+    start: usize,
+    count: usize,
+    tolerance: f32,
+    unit: f32,
+}
+
+impl From<goal::GoalPart> for GoalPart {
+    fn from(part: goal::GoalPart) -> Self {
+        let goal::GoalPart { name, start, count, tolerance, unit } = part;
+        Self { name, start, count, tolerance, unit }
+    }
+}
+
+#[pymethods]
+impl GoalPart {
+    fn __repr__(&self) -> String {
+        let Self { name, start, count, tolerance, .. } = self;
+        format!("<goal part {name}: {start} to {}, within {tolerance}>", start + count)
+    }
 }
 
 /// One option of a task: its name, its default and what is allowed.

@@ -6,7 +6,7 @@
 use serde::{Deserialize, Serialize};
 
 /// When an achieved goal counts as the desired one.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub enum SuccessRule {
     /// Euclidean distance below `tolerance` (unit of the goal).
     Distance {
@@ -28,20 +28,51 @@ pub enum SuccessRule {
         /// Largest angle, rad, exclusive.
         angle: f32,
     },
+    /// Every part of the goal by itself: they have different units.
+    Parts(Vec<GoalPart>),
+}
+
+/// Some numbers of a goal that belong together: a position, a share, a force.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct GoalPart {
+    /// What it is, e.g. `exposed`.
+    pub name: String,
+    /// The first of its numbers in the goal.
+    pub start: usize,
+    /// How many numbers it has.
+    pub count: usize,
+    /// Largest Euclidean distance at which it is reached, exclusive, in its unit.
+    pub tolerance: f32,
+    /// The distance that takes 1 from the dense reward, in its unit; no option changes it.
+    pub unit: f32,
+}
+
+impl GoalPart {
+    /// How far this part of `achieved` is from that of `desired`, in its unit; NaN where goals have no such part.
+    pub fn distance(&self, achieved: &[f32], desired: &[f32]) -> f32 {
+        let numbers = self.start..self.start.saturating_add(self.count);
+        match (achieved.get(numbers.clone()), desired.get(numbers)) {
+            (Some(achieved), Some(desired)) => distance(achieved, desired),
+            _ => f32::NAN,
+        }
+    }
 }
 
 impl SuccessRule {
     /// Whether `achieved` reaches `desired`. NaN never does.
     pub fn holds(&self, achieved: &[f32], desired: &[f32]) -> bool {
-        match *self {
-            Self::Distance { tolerance } => distance(achieved, desired) < tolerance,
+        match self {
+            Self::Distance { tolerance } => distance(achieved, desired) < *tolerance,
             Self::Seated { horizontal, vertical } => {
-                distance(&achieved[..2], &desired[..2]) < horizontal
-                    && (achieved[2] - desired[2]).abs() < vertical
+                distance(&achieved[..2], &desired[..2]) < *horizontal
+                    && (achieved[2] - desired[2]).abs() < *vertical
             }
             Self::Centred { image, angle } => {
-                distance(&achieved[..2], &desired[..2]) < image
-                    && (achieved[2] - desired[2]).abs() < angle
+                distance(&achieved[..2], &desired[..2]) < *image
+                    && (achieved[2] - desired[2]).abs() < *angle
+            }
+            Self::Parts(parts) => {
+                parts.iter().all(|part| part.distance(achieved, desired) < part.tolerance)
             }
         }
     }
@@ -52,7 +83,8 @@ impl SuccessRule {
 pub enum Reward {
     /// 0 on success, −1 otherwise.
     Sparse,
-    /// −‖achieved − desired‖, in the unit of the goal.
+    /// −‖achieved − desired‖, in the unit of the goal. Of a goal with [parts](SuccessRule::Parts): minus the sum of
+    /// their distances, each over the part's [unit](GoalPart::unit).
     Dense,
     /// A function of the full state that only the server can compute (tasks without goals).
     State,
@@ -67,7 +99,13 @@ impl Reward {
         match self {
             Self::Sparse if rule.holds(achieved, desired) => 0.0,
             Self::Sparse => -1.0,
-            Self::Dense => -distance(achieved, desired),
+            Self::Dense => match rule {
+                SuccessRule::Parts(parts) => {
+                    let distance = |part: &GoalPart| part.distance(achieved, desired) / part.unit;
+                    -parts.iter().map(distance).fold(0.0, |sum, part| sum + part)
+                }
+                _ => -distance(achieved, desired),
+            },
             Self::State => unreachable!("a task without goals computes its reward itself"),
         }
     }
@@ -116,6 +154,29 @@ mod tests {
         assert!(!rule.holds(&[0.5], &[0.0]));
         assert!(rule.holds(&[0.499], &[0.0]));
         assert!(!rule.holds(&[f32::NAN], &[0.0]));
+    }
+
+    #[test]
+    fn every_part_of_a_goal_has_its_own_tolerance_and_unit() {
+        let part = |name: &str, start, count, tolerance, unit| GoalPart {
+            name: name.into(),
+            start,
+            count,
+            tolerance,
+            unit,
+        };
+        let rule = SuccessRule::Parts(vec![
+            part("point", 0, 3, 0.01, 0.01),
+            part("exposed", 3, 1, 0.2, 0.1),
+        ]);
+        let desired = [0.0, 0.0, 0.0, 1.0];
+        assert!(rule.holds(&[0.009, 0.0, 0.0, 0.9], &desired));
+        assert!(!rule.holds(&[0.011, 0.0, 0.0, 0.9], &desired));
+        assert!(!rule.holds(&[0.0, 0.0, 0.0, 0.7], &desired));
+        let reward = Reward::Dense.of(&rule, &[0.0, 0.02, 0.0, 0.5], &desired);
+        assert!((reward + 7.0).abs() < 1e-5, "{reward}");
+        // A part that goals do not have is never reached.
+        assert!(!rule.holds(&[0.0; 3], &desired));
     }
 
     #[test]

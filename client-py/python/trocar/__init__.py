@@ -34,7 +34,7 @@ their library does not hand over. A row-major, aligned array of float32 is not c
 from trocar import errors
 from trocar._connection import connect, status
 from trocar._features import features
-from trocar._trocar import STAGES, Element, OptionSpec, TaskSpec, __version__
+from trocar._trocar import STAGES, Element, GoalPart, OptionSpec, TaskSpec, __version__
 from trocar.env import TrocarEnv
 from trocar.errors import Reconnected, ServerLost, TrocarError
 from trocar.registration import register, register_all
@@ -45,6 +45,7 @@ from trocar.vector import TrocarVectorEnv
 __all__ = [
     "STAGES",
     "Element",
+    "GoalPart",
     "OptionSpec",
     "Reconnected",
     "Server",

@@ -377,6 +377,9 @@ class TaskSpec:
     def goal(self) -> list[Element] | None:
         """Achieved and desired goal; ``None`` for tasks without goals."""
     @property
+    def goal_parts(self) -> list[GoalPart]:
+        """The parts of a goal that is reached part by part; none where it is one whole."""
+    @property
     def has_goals(self) -> bool:
         """Whether the task has goals."""
     @property
@@ -452,6 +455,31 @@ class ImageSpec:
     @property
     def with_state(self) -> bool:
         """Whether the state is wanted besides."""
+
+@final
+class GoalPart:
+    """Some numbers of a goal that belong together: a position, a share, a force.
+
+    The goal is reached where every part is. Part ``p`` is, where the Euclidean distance of
+    ``achieved[p.start : p.start + p.count]`` from the desired ones is below ``p.tolerance``. The dense
+    reward is minus the sum of these distances, each over ``p.unit``.
+    """
+
+    @property
+    def name(self) -> str:
+        """What it is, e.g. ``exposed``."""
+    @property
+    def start(self) -> int:
+        """The first of its numbers in the goal."""
+    @property
+    def count(self) -> int:
+        """How many numbers it has."""
+    @property
+    def tolerance(self) -> float:
+        """Largest distance at which it is reached, exclusive, in its unit."""
+    @property
+    def unit(self) -> float:
+        """The distance that takes 1 from the dense reward; no option changes it."""
 
 @final
 class Element:

@@ -176,6 +176,12 @@ pub(crate) fn tolerated(rule: SuccessRule, options: &Options) -> SuccessRule {
         SuccessRule::Centred { image, angle } => {
             SuccessRule::Centred { image: image * factor, angle: angle * factor }
         }
+        SuccessRule::Parts(mut parts) => {
+            for part in &mut parts {
+                part.tolerance *= factor;
+            }
+            SuccessRule::Parts(parts)
+        }
     }
 }
 
