@@ -8,6 +8,7 @@ mod client;
 mod columns;
 mod error;
 mod live;
+mod network;
 mod session;
 mod snapshot;
 mod spec;
@@ -32,6 +33,7 @@ fn _trocar(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<session::Session>()?;
     module.add_class::<session::Reply>()?;
     module.add_class::<live::LiveWorld>()?;
+    module.add_class::<network::Network>()?;
     module.add_class::<snapshot::Snapshot>()?;
     module.add_class::<spec::TaskSpec>()?;
     module.add_class::<spec::Element>()?;

@@ -26,6 +26,10 @@ impl TaskSpec {
     pub(crate) fn new(spec: trocar_client::TaskSpec) -> Self {
         Self { spec }
     }
+
+    pub(crate) fn inner(&self) -> &trocar_client::TaskSpec {
+        &self.spec
+    }
 }
 
 #[pymethods]

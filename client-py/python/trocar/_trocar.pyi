@@ -21,6 +21,7 @@ __all__ = [
     "Element",
     "ImageSpec",
     "LiveWorld",
+    "Network",
     "OptionSpec",
     "Reply",
     "Session",
@@ -338,6 +339,32 @@ class Reply:
         """
     def outcome(self, expert: bool) -> tuple[float, bool, bool, dict[str, Any]]:
         """Reward, terminated, truncated and infos of row 0, as plain numbers."""
+
+@final
+class Network:
+    """A policy of an ONNX file, as ``trocar rollout --policy`` runs it."""
+
+    def __new__(cls, name: str, content: bytes) -> Network:
+        """What the file ``name`` holds."""
+    @property
+    def task(self) -> str | None:
+        """The task that it was trained for, if the file says so."""
+    @property
+    def options(self) -> str | None:
+        """The options of the task that it was trained with, JSON, if the file says so."""
+    @property
+    def card(self) -> str | None:
+        """How it was trained and how well it does, JSON, if the file says so."""
+    def check(self, spec: TaskSpec) -> None:
+        """An error unless it can act in a task."""
+    def act(
+        self,
+        observation: NDArray[np.float32],
+        achieved: NDArray[np.float32],
+        desired: NDArray[np.float32],
+        numbers: int,
+    ) -> NDArray[np.float32]:
+        """The action that it chooses, of so many numbers; goals of tasks without are empty."""
 
 @final
 class Snapshot:

@@ -1,0 +1,237 @@
+"""``python -m trocar.dvrk.deploy POLICY``: runs a policy on arms that speak CRTK.
+
+In a live world, over ROS 2, or on a real robot. Exit status: 0 after all episodes, 1 where a run
+was stopped, 2 where an argument is not allowed.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from trocar.dvrk.__main__ import speed
+from trocar.dvrk.deploy import policy as policies
+from trocar.dvrk.deploy import robot as robots
+from trocar.dvrk.deploy.geometry import Pose
+from trocar.dvrk.deploy.limits import Limits
+from trocar.dvrk.deploy.observation import Layout
+from trocar.dvrk.deploy.plot import plot
+from trocar.dvrk.deploy.runner import Episode, Runner
+from trocar.dvrk.deploy.sources import Function, Topics
+from trocar.dvrk.deploy.task import Task
+from trocar.errors import InvalidOption, LaunchError, TrocarError, refuse
+
+
+def numbers(text: str) -> tuple[float, ...]:
+    """Numbers between commas."""
+    return tuple(float(part) for part in text.split(","))
+
+
+def parser() -> argparse.ArgumentParser:
+    """The command line."""
+    parser = argparse.ArgumentParser(
+        prog="python -m trocar.dvrk.deploy",
+        description="Runs a policy on arms that speak CRTK.",
+        epilog="docs/deploy.md has the steps from a policy to a robot, and the risks.",
+    )
+    parser.add_argument(
+        "policy",
+        help="a task that Trocar has a policy of (NeedlePick), FILE.onnx, or module:function",
+    )
+    parser.add_argument("--task", help="the task (that of the policy)")
+    parser.add_argument(
+        "--option",
+        action="append",
+        default=[],
+        metavar="NAME=JSON",
+        help="an option of the task; those that the policy was trained with are set already",
+    )
+    parser.add_argument(
+        "--robot",
+        default="live",
+        help="live: a live world; installed: the packages crtk and dvrk, over ROS 2; or "
+        "module:function, which is given the task and returns a Robot (%(default)s)",
+    )
+    parser.add_argument("--server", help="name of a running server (default: a private one)")
+    parser.add_argument(
+        "--speed",
+        type=speed,
+        default=None,
+        help="of a live world: times real time, or max: as fast as it goes, in lock-step (max)",
+    )
+    parser.add_argument(
+        "--frame",
+        action="append",
+        default=[],
+        metavar="ARM=X,Y,Z,X,Y,Z,W",
+        help="where the reference frame of an arm's poses is in the task's scene: m, quaternion",
+    )
+    parser.add_argument(
+        "--poses",
+        default="topics",
+        metavar="SOURCE",
+        help="where objects are: topics: <object>/measured_cp; or module:function (%(default)s)",
+    )
+    parser.add_argument("--goal", type=numbers, metavar="X,Y,Z", help="the goal (a simulator's)")
+    parser.add_argument("--episodes", type=int, default=1, help="how many (%(default)s)")
+    parser.add_argument("--seeds", type=int, default=0, help="seed of the first (%(default)s)")
+    parser.add_argument("--steps", type=int, help="most steps of an episode (the task's)")
+    parser.add_argument(
+        "--dry-run", action="store_true", help="compute and log actions, command nothing"
+    )
+    parser.add_argument(
+        "--home", action="store_true", help="enable and home the arms first; live worlds always do"
+    )
+    limits = Limits()
+    for flag, what, unit in LIMITS:
+        default = getattr(limits, flag.replace("-", "_"))
+        kind = f"%(default)s {unit}" if default is not None else f"none, {unit}"
+        parser.add_argument(f"--{flag}", type=float, default=default, help=f"{what} ({kind})")
+    parser.add_argument(
+        "--box",
+        type=numbers,
+        metavar="X,Y,Z,X,Y,Z",
+        help="where wrists may be sent: two corners in the scene, m (the task's)",
+    )
+    parser.add_argument(
+        "--log", type=Path, metavar="FOLDER", help="write a file of each episode there"
+    )
+    parser.add_argument("--plot", action="store_true", help="draw each file of --log")
+    parser.add_argument("--json", action="store_true", help="one JSON object an episode, on stdout")
+    return parser
+
+
+LIMITS = (
+    ("rate", "set-points in a second", "Hz"),
+    ("stale", "longest silence of a topic", "s"),
+    ("jump", "farthest that an object's pose moves in a step", "m"),
+    ("patience", "how long poses may jump", "s"),
+    ("step", "farthest that a wrist is sent in a step", "m"),
+    ("turn", "farthest that a wrist is turned in a step", "rad"),
+    ("held-up", "how far off its set-point an arm counts as held up", "m"),
+)
+
+
+def options(given: Sequence[str]) -> dict[str, Any]:
+    """Options of the task: values are JSON, or plain words."""
+    found = {}
+    for assignment in given:
+        name, equals, value = assignment.partition("=")
+        if not equals:
+            raise refuse(InvalidOption, "--option", assignment, "NAME=VALUE was expected")
+        try:
+            found[name] = json.loads(value)
+        except ValueError:
+            found[name] = value
+    return found
+
+
+def frames(given: Sequence[str]) -> dict[str, Pose]:
+    """Reference frames of arms."""
+    found = {}
+    for assignment in given:
+        arm, _, value = assignment.partition("=")
+        try:
+            place = numbers(value)
+        except ValueError:
+            place = ()
+        if len(place) != 7 or sum(number * number for number in place[3:]) < 0.5:
+            allowed = "ARM=x,y,z,x,y,z,w was expected, a position and a quaternion of length 1"
+            raise refuse(InvalidOption, "--frame", assignment, allowed)
+        found[arm] = Pose.of_numbers(place)
+    return found
+
+
+def made(given: argparse.Namespace, told: Any) -> Runner:
+    """The runner that a command line asks for."""
+    policy = policies.load(given.policy)
+    if given.task is None and policy.task is None:
+        raise refuse(InvalidOption, "--task", None, "the policy names no task, so this must")
+    if given.plot and given.log is None:
+        raise refuse(InvalidOption, "--plot", True, "it draws the files of --log FOLDER")
+    chosen = {flag.replace("-", "_"): getattr(given, flag.replace("-", "_")) for flag, *_ in LIMITS}
+    limits = Limits(**chosen, box=given.box)
+    wanted = {**policy.options, **options(given.option)}
+    task = Task.open(str(given.task or policy.task), server=given.server, **wanted)
+    policy.check(task.spec)
+    layout = Layout(task)
+    robot = robots.named(given.robot, task, frames(given.frame), given.server, given.speed)
+    try:
+        if given.poses == "topics":
+            source: Any = Topics(robot, layout, given.goal)
+        else:
+            call = policies.function(given.poses, "--poses")
+            source = Function(call, task, layout, given.goal)
+        return Runner(
+            task,
+            policy,
+            robot,
+            source=source,
+            limits=limits,
+            is_dry=given.dry_run,
+            enables=given.home or given.robot == "live",
+            max_steps=given.steps,
+            told=told,
+        )
+    except BaseException:
+        robot.close()
+        raise
+
+
+def table(episodes: Sequence[Episode]) -> str:
+    """The results, for people."""
+    lines = [f"{'seed':>6}  {'outcome':8}  {'steps':>5}  {'goal away':>9}  why"]
+    for episode in episodes:
+        away = "-" if episode.distance != episode.distance else f"{episode.distance:.4f}"
+        lines.append(
+            f"{episode.seed:>6}  {episode.outcome:8}  {episode.steps:>5}  {away:>9}  {episode.why}"
+        )
+    count = len(episodes)
+    good = sum(episode.outcome == "success" for episode in episodes)
+    if any(episode.outcome in ("success", "failure") for episode in episodes):
+        lines.append(f"{good} of {count} succeeded ({100.0 * good / count:.1f} %)")
+    return "\n".join(line.rstrip() for line in lines)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Runs the episodes; the exit status."""
+    given = parser().parse_args(arguments)
+    is_shown = sys.stderr.isatty()
+    seed = given.seeds
+
+    def told(words: str) -> None:
+        if is_shown:
+            print(f"\r\x1b[Kseed {seed}: {words}", end="", file=sys.stderr, flush=True)
+
+    try:
+        runner = made(given, told)
+    except (TrocarError, LaunchError) as error:
+        print(f"trocar.dvrk.deploy: {error}", file=sys.stderr)
+        return 2
+    episodes = []
+    try:
+        for seed in range(given.seeds, given.seeds + given.episodes):
+            episode = runner.run(seed, given.log)
+            episodes.append(episode)
+            if given.json:
+                line = {**vars(episode), "path": str(episode.path) if episode.path else None}
+                print(json.dumps({"task": runner.task.spec.id, **line}), flush=True)
+            if given.plot and episode.path is not None:
+                plot(episode.path)
+    except KeyboardInterrupt:
+        told("interrupted: the arms hold\n")
+    finally:
+        runner.robot.close()
+    if is_shown:
+        print("\r\x1b[K", end="", file=sys.stderr)
+    print(table(episodes), file=sys.stderr)
+    stopped = any(episode.outcome == "stopped" for episode in episodes)
+    return int(stopped or len(episodes) < given.episodes)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,117 @@
+"""Where objects, the target's image point and the goal come from."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+from typing import Any, Protocol
+
+import numpy as np
+
+from trocar.dvrk.deploy.geometry import Numbers, Pose
+from trocar.dvrk.deploy.limits import Stopped
+from trocar.dvrk.deploy.observation import Layout, Reading
+from trocar.dvrk.deploy.task import Task
+
+
+class Source(Protocol):
+    """Fills in what is read of the scene."""
+
+    def read(self, reading: Reading) -> None:
+        """Writes objects, image point and goal, with the stamps of their topics, s.
+
+        Raises:
+            Stopped: Something is missing; it is named.
+        """
+
+
+class Topics:
+    """A simulator's topics: ``<object>/measured_cp``, and what only a simulator knows."""
+
+    def __init__(self, robot: Any, layout: Layout, goal: Sequence[float] | None = None) -> None:
+        self._robot, self._layout = robot, layout
+        self._goal = None if goal is None else np.array(goal, np.float64)
+
+    def read(self, reading: Reading) -> None:
+        """Reads the topics."""
+        for name in self._layout.objects:
+            topic = f"{name}/measured_cp"
+            frame, stamp = read(topic, partial(self._robot.object, name))
+            reading.objects[name], reading.stamps[topic] = Pose.of_frame(frame), stamp
+        if self._layout.needs_image:
+            seen = self._robot.image()
+            if seen is None:
+                raise Stopped("target image is missing: no picture and no simulator tells it")
+            reading.image, reading.stamps["target image"] = seen
+        reading.goal = self._robot.goal() if self._goal is None else self._goal
+
+
+class Function:
+    """An owner's function, which is called before every action, without arguments.
+
+    It returns a dictionary: of an object's name, the pose in the scene (x, y, z in m, then x, y, z,
+    w of a quaternion) and its stamp (s); of ``target``, the image point (x, y) or ``None``, and its
+    stamp; of ``goal``, the desired goal.
+    """
+
+    def __init__(
+        self,
+        call: Callable[[], Mapping[str, Any]],
+        task: Task,
+        layout: Layout,
+        goal: Sequence[float] | None = None,
+    ) -> None:
+        self._call, self._layout, self._task = call, layout, task
+        self._goal = None if goal is None else np.array(goal, np.float64)
+
+    def read(self, reading: Reading) -> None:
+        """Calls the function."""
+        told = self._call()
+        needed = [*self._layout.objects, *(["target"] if self._layout.needs_image else [])]
+        for name in needed:
+            if name not in told:
+                raise Stopped(f"{name} is missing: the function of --poses told {sorted(told)}")
+        for name in self._layout.objects:
+            pose, stamp = told[name]
+            numbers = np.asarray(pose, np.float64)
+            if numbers.shape != (7,) or not np.isfinite(numbers).all():
+                raise Stopped(f"{name} = {pose!r}: expected 7 finite numbers")
+            reading.objects[name] = Pose.of_numbers(numbers.tolist())
+            reading.stamps[f"{name}/measured_cp"] = float(stamp)
+        if self._layout.needs_image:
+            point, stamp = told["target"]
+            reading.image = None if point is None else np.array(point, np.float64)
+            reading.stamps["target image"] = float(stamp)
+        goal = told.get("goal")
+        reading.goal = self._goal if goal is None else np.array(goal, np.float64)
+
+
+def checked_goal(goal: Numbers | None, task: Task) -> Numbers | None:
+    """A goal of the right shape; tracking tasks have zeros.
+
+    Raises:
+        Stopped: There is none, or it has another shape.
+    """
+    elements = task.spec.goal
+    if not elements:
+        return None
+    if goal is None and task.moves_camera:
+        return np.zeros(len(elements))
+    names = ", ".join(element.name for element in elements)
+    if goal is None:
+        raise Stopped(f"goal is missing: {task.spec.id} needs {names}; give --goal")
+    if goal.shape != (len(elements),) or not np.isfinite(goal).all():
+        raise Stopped(f"goal = {goal.tolist()}: expected finite numbers for {names}")
+    return goal
+
+
+def read(topic: str, get: Callable[[], Any]) -> Any:
+    """What a topic says.
+
+    Raises:
+        Stopped: It says nothing.
+    """
+    try:
+        return get()
+    except (TimeoutError, RuntimeWarning) as error:
+        raise Stopped(f"{topic} is missing: {error}") from error
