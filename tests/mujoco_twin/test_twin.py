@@ -9,13 +9,16 @@ import mujoco
 import numpy as np
 import pytest
 
+from mujoco_twin.__main__ import EXPERTS
 from mujoco_twin.arm import TICK
 from mujoco_twin.contact import GRAVITY
 from mujoco_twin.kinematics import Kinematics, Pose, rotate
 from mujoco_twin.model import LEVER, TIP_OFFSET, Numbers, build
+from mujoco_twin.robot import TwinRobot
 from mujoco_twin.twin import NAME, Twin
 from trocar import dvrk
 from trocar.dvrk.crtk import frame_of
+from trocar.dvrk.deploy import Runner, Task, load
 
 DOWN = (1.0, 0.0, 0.0, 0.0)
 """Jaws straight down: quaternion x, y, z, w."""
@@ -287,3 +290,39 @@ def test_the_same_commands_give_the_same_bits() -> None:
         mujoco.mj_getState(twin.model, twin.data, state, mujoco.mjtState.mjSTATE_INTEGRATION)
         states.append(state.tobytes())
     assert states[0] == states[1]
+
+
+# ---- The twin as a robot ----
+
+
+@pytest.mark.parametrize("task_id", EXPERTS)
+def test_the_expert_brings_the_object_to_its_goal(task_id: str) -> None:
+    task = Task.open(f"{task_id}-v0")
+    robot = TwinRobot(task)
+    try:
+        episode = Runner(task, load(EXPERTS[task_id]), robot, enables=True).run(60_000)
+    finally:
+        robot.close()
+    assert (episode.outcome, episode.why) == ("success", "")
+
+
+def test_poses_are_told_with_an_error_and_judged_without() -> None:
+    task = Task.open("NeedlePick-v0")
+    robot = TwinRobot(task, pose_error=1e-3)
+    try:
+        robot.reset(3)
+        told, _ = robot.object("needle")
+        true = robot.twin.object("needle")
+        off = np.array([told.p[axis] - true[axis] for axis in range(3)])
+        assert 0.0 < np.abs(off).max() < 1e-3
+        robot.reset(3)
+        again, _ = robot.object("needle")
+        assert [again.p[axis] for axis in range(3)] == [told.p[axis] for axis in range(3)]
+        assert robot.is_success() is False
+        goal = robot.goal() + np.array([0.02, 0.0, 0.0])
+        at = robot.twin.model.joint("needle").qposadr[0]
+        robot.twin.data.qpos[at : at + 7] = [*goal, 1.0, 0.0, 0.0, 0.0]
+        mujoco.mj_forward(robot.twin.model, robot.twin.data)
+        assert robot.is_success() is True
+    finally:
+        robot.close()
