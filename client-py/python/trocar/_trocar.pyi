@@ -488,8 +488,8 @@ class GoalPart:
     """Some numbers of a goal that belong together: a position, a share, a force.
 
     The goal is reached where every part is. Part ``p`` is, where the Euclidean distance of
-    ``achieved[p.start : p.start + p.count]`` from the desired ones is below ``p.tolerance``. The dense
-    reward is minus the sum of these distances, each over ``p.unit``.
+    ``achieved[p.start : p.start + p.count]`` from the desired ones is below ``p.tolerance``. The
+    dense reward is minus the sum of these distances, each over ``p.unit``.
     """
 
     @property
