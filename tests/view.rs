@@ -59,19 +59,35 @@ struct Frame {
     jaws: Vec<f32>,
     /// Rewards and flags.
     marks: Vec<(f32, u32)>,
+    /// The words of skins.
+    skins: Vec<u32>,
 }
 
 impl Frame {
     fn read(bytes: &[u8]) -> Self {
         let (words, []) = bytes.as_chunks::<4>() else { panic!("words of 32 bits") };
         let words: Vec<_> = words.iter().map(|word| u32::from_le_bytes(*word)).collect();
-        let [kind, scene, flags, steps, low, high, _, _, stage, parts, contacts, jaws, marks] =
-            words[..13]
+        let [
+            kind,
+            scene,
+            flags,
+            steps,
+            low,
+            high,
+            _,
+            _,
+            stage,
+            parts,
+            contacts,
+            jaws,
+            marks,
+            skins,
+        ] = words[..14]
         else {
             panic!("a frame has a head")
         };
         assert_eq!(kind, message::FRAME);
-        let mut rest = words[13..].iter().map(|word| f32::from_bits(*word));
+        let mut rest = words[14..].iter().map(|word| f32::from_bits(*word));
         let mut take = |count: u32| rest.by_ref().take(count as usize).collect::<Vec<_>>();
         let frame = Self {
             scene,
@@ -84,6 +100,7 @@ impl Frame {
             contacts: take(6 * contacts),
             jaws: take(4 * jaws),
             marks: take(2 * marks).chunks(2).map(|mark| (mark[0], mark[1].to_bits())).collect(),
+            skins: take(skins).into_iter().map(f32::to_bits).collect(),
         };
         assert_eq!(rest.count(), 0, "nothing else is in it");
         frame
@@ -201,6 +218,7 @@ fn assert_shows(frame: &Frame, env: &Env) {
     assert_eq!((frame.steps, frame.seed), (env.steps(), env.seed()));
     assert_eq!(frame.stage, env.stage() as u32);
     assert_eq!(frame.flags, HAS_ENDOSCOPE);
+    assert!(frame.skins.is_empty(), "nothing deforms");
     let lens = scene.endoscope.unwrap();
     assert_eq!(frame.endoscope[..7], numbers(&lens.world_from_camera));
     assert_eq!(frame.endoscope[7], lens.view as f32);
@@ -350,7 +368,7 @@ fn frames_are_a_faithful_copy_of_the_scene() {
     for (part, instance) in parts.iter().zip(scene.instances()) {
         let bytes = meshes[part["mesh"].as_u64().unwrap() as usize];
         let vertices: Vec<_> = instance.mesh.vertices().flat_map(|at| [at.x, at.y, at.z]).collect();
-        let (head, data) = bytes.split_at(16);
+        let (head, data) = bytes.split_at(20);
         assert_eq!(head[8..12], (vertices.len() as u32 / 3).to_le_bytes());
         let (floats, _) = data.as_chunks::<4>();
         let sent = floats.iter().map(|word| f32::from_le_bytes(*word)).take(vertices.len());

@@ -167,6 +167,17 @@ def test_the_last_pictures_of_an_episode_are_in_final_obs() -> None:
     envs.close()
 
 
+def test_in_a_cavity_the_same_bodies_are_darker() -> None:
+    rgb, mask = {}, {}
+    for look in ("bench", "cavity"):
+        env = make("NeedlePick-v0", observation=("rgb", "mask"), look=look)
+        observation, _ = env.reset(seed=1)
+        rgb[look], mask[look] = observation["rgb"], observation["mask"]
+        env.close()
+    assert (mask["bench"] == mask["cavity"]).all()
+    assert 0 < rgb["cavity"].mean() < rgb["bench"].mean()
+
+
 def test_without_a_copy_pictures_lie_in_shared_memory() -> None:
     env = make("NeedleReach-v0", observation=("state", "rgb"), copy=False)
     observation, _ = env.reset(seed=0)
@@ -181,6 +192,7 @@ def test_without_a_copy_pictures_lie_in_shared_memory() -> None:
         {"image_size": (12.5, 20)},
         {"image_size": (4, 4)},
         {"camera": "ceiling"},
+        {"look": "night"},
         {"camera_eye": (1.0, 1.0), "camera": "placed"},
         {"camera_eye": (1.0, 1.0, 1.0), "camera": "placed", "camera_target": (1.0, 1.0, 1.0)},
         {"camera_view": 180.0, "camera": "placed"},

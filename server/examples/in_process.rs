@@ -12,6 +12,7 @@ use std::slice::{from_raw_parts, from_raw_parts_mut};
 
 use trocar_server::Registry;
 use trocar_server::render::camera::extrinsics;
+use trocar_server::render::light::Lamp;
 use trocar_server::render::{Canvas, Lens, Renderer, Scene, Software, material};
 use trocar_server::{Env, Step};
 
@@ -213,13 +214,14 @@ pub unsafe extern "C" fn trocar_camera(
     let (scene, data) = unsafe { ((*env).scene(), &mut *data) };
     let camera = scene.camera(lens(number), width as usize, height as usize);
     let Some(camera) = camera else { return false };
+    let Lamp::Far(towards_lamp) = scene.light.place else { return false };
     let intrinsics = camera.intrinsics;
     *data = CameraData {
         camera_from_world: extrinsics(&camera.world_from_camera),
         intrinsics: [intrinsics.fx, intrinsics.fy, intrinsics.cx, intrinsics.cy],
         near: camera.near,
         far: camera.far,
-        towards_lamp: scene.light.direction.into(),
+        towards_lamp: towards_lamp.into(),
     };
     true
 }

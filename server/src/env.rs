@@ -27,7 +27,7 @@ use trocar_proto::spec::Element;
 use trocar_proto::{Code, Options, Placement, Rejection, Stage, TaskSpec};
 
 use crate::error::StepError;
-use crate::render::Scene;
+use crate::render::{Look, Scene};
 use crate::sim::motion::Effort;
 use crate::sim::random::Rng;
 use crate::sim::world::World;
@@ -91,6 +91,7 @@ pub struct Env {
     beginning: Beginning,
     options: Arc<Options>,
     imaging: Option<Arc<Imaging>>,
+    look: Look,
     expert_sees: Sees,
     domain: Domain,
     task: Box<dyn Task>,
@@ -234,6 +235,7 @@ impl Env {
             },
             measured: vec![],
             terminates_on_success: options::terminates_on_success(&options),
+            look: options::look_of(&options),
             options: Arc::new(options),
             imaging: imaging.map(Arc::new),
             domain,
@@ -279,7 +281,8 @@ impl Env {
         let mut scene = Scene::default();
         scene.endoscope_joints = self.endoscope_joints;
         self.task.scene(&self.world, &mut scene);
-        scene.add_others(&self.world);
+        scene.add_others(&self.world, &mut Rng::appearance(self.seed, self.episode));
+        scene.set_look(self.look);
         scene
     }
 

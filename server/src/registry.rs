@@ -178,7 +178,7 @@ impl Made {
         }
         let mut scene = Scene::default();
         task.scene(&world, &mut scene);
-        scene.add_others(&world);
+        scene.add_others(&world, &mut Rng::appearance(0, 0));
         scene
     }
 }

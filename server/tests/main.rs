@@ -13,6 +13,7 @@ mod grasp;
 mod grasp_modes;
 mod late;
 mod live;
+mod looks;
 mod mechanics;
 mod non_rigid;
 mod pad;

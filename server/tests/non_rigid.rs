@@ -1,5 +1,7 @@
 //! Bodies of another kind than rigid join a world: a rope of point masses that falls onto a floor.
 
+use std::sync::Arc;
+
 use nalgebra::{Point3, Vector3};
 use trocar_proto::builtin::TaskInfo;
 use trocar_proto::spec::{Element, OptionSpec};
@@ -8,9 +10,13 @@ use trocar_server::error::StepError;
 use trocar_server::render::{Lens, Renderer, Scene, Software};
 use trocar_server::sim::frames::{Aabb, Pose};
 use trocar_server::sim::random::Rng;
-use trocar_server::sim::world::{GRAVITY, Motion, NonRigid, Part, Shape, Solver, Surface, World};
+use trocar_server::sim::world::{
+    GRAVITY, Motion, NonRigid, Part, RestSurface, Shape, Solver, Surface, World,
+};
 use trocar_server::tasks::expert::ExpertInput;
 use trocar_server::tasks::{Registered, State, options};
+use trocar_server::view::message::{self, Message, SceneEncoder};
+use trocar_server::view::source::Moment;
 use trocar_server::{Env, Registry, Task};
 
 /// Height from which the rope falls, m.
@@ -77,12 +83,17 @@ impl NonRigid for Rope {
             let [a, b, c, d] = [0, 1, 2, 3].map(|next| 2 * index + next);
             [[a, c, b], [b, c, d], [a, b, c], [b, d, c]]
         };
+        let rest = RestSurface {
+            vertices: vec![Point3::origin(); 2 * self.points.len()],
+            triangles: (0..self.points.len() as u32 - 1).flat_map(strip).collect(),
+        };
         Surface {
             name: "rope",
             vertices,
             normals: vec![-Vector3::y(); 2 * self.points.len()],
-            triangles: (0..self.points.len() as u32 - 1).flat_map(strip).collect(),
+            rest: Arc::new(rest),
             colour: [0.9, 0.2, 0.6],
+            material: "foam".into(),
         }
     }
 
@@ -227,6 +238,39 @@ fn it_is_met_drawn_counted_and_ends_the_episode_where_it_is_not_finite() {
 
     let step = env.step(&[1.0]);
     assert!(matches!(step, Err(StepError::Simulation { .. })), "{step:?}");
+}
+
+/// The words of 32 bits of a message.
+fn words(message: &Message) -> Vec<u32> {
+    let Message::Bytes(bytes) = message else { panic!("{message:?} is a text") };
+    let (words, []) = bytes.as_chunks::<4>() else { panic!("words of 32 bits") };
+    words.iter().map(|word| u32::from_le_bytes(*word)).collect()
+}
+
+#[test]
+fn the_viewer_is_told_its_form_once_and_then_where_its_skin_is() {
+    let mut env = env();
+    let mut encoder = SceneEncoder::default();
+    let (first, _) = encoder.tell(1, 0, Moment::of(&env, vec![]));
+    assert!(first.len() > 2, "meshes, what they are parts of, and a frame");
+    env.step(&[0.0]).unwrap();
+    let (then, _) = encoder.tell(1, 0, Moment::of(&env, vec![]));
+    assert_eq!(then.len(), 1, "it has moved, and is still the same");
+
+    let frame = words(&then[0]);
+    let vertices = env.world().others().next().unwrap().surface().vertices;
+    let length = 6 + (3 * vertices.len()).div_ceil(2);
+    assert_eq!((frame[0], frame[13]), (message::FRAME, length as u32));
+    let (skin, places) = frame[frame.len() - length..].split_at(6);
+    let [low, step] = [0, 3].map(|first| [0, 1, 2].map(|axis| f32::from_bits(skin[first + axis])));
+    let steps: Vec<_> = places.iter().flat_map(|two| [two & 0xffff, two >> 16]).collect();
+    for (vertex, steps) in vertices.iter().zip(steps.chunks(3)) {
+        let shown = Point3::from(
+            [0, 1, 2]
+                .map(|axis| f64::from(low[axis]) + f64::from(step[axis]) * f64::from(steps[axis])),
+        );
+        assert!((shown - vertex).norm() < 1e-6, "{shown} is shown for {vertex}");
+    }
 }
 
 /// A box far above another.

@@ -117,7 +117,7 @@ fn it_is_drawn_where_it_is_and_takes_little_memory() {
     grasp(&mut world, &mut jaws);
     let mut scene = Scene::default();
     scene.add_world(&world);
-    scene.add_others(&world);
+    scene.add_others(&world, &mut Rng::new(0, 0));
     let camera = scene.camera(Lens::Overview, 160, 120).unwrap();
     let sheet = scene.body("sheet").unwrap();
     let picture = Software::default().picture(&scene, &camera);

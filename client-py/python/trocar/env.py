@@ -49,7 +49,8 @@ class TrocarEnv(Described, GoalFunctions, gym.Env[Observation, NDArray[np.float3
     With the option ``observation``, e.g. ``("state", "rgb", "depth")``, pictures stand beside the
     goals: ``rgb`` uint8 (H, W, 3), ``depth`` float32 (H, W, 1) in m, ``mask`` int32 (H, W) and
     ``points`` float32 (H * W, 3) in m. ``image_size`` is (H, W), and ``camera`` is where they are
-    taken from. With ``camera="stereo"`` they are ``rgb_left``, ``rgb_right`` and so on.
+    taken from. With ``camera="stereo"`` they are ``rgb_left``, ``rgb_right`` and so on. With
+    ``look="cavity"`` a lamp at the endoscope lights them, as in a body.
     Observations are then dictionaries for every task. ``task_spec.images`` has intrinsics and the
     names of the bodies in a mask.
 

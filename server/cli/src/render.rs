@@ -30,6 +30,7 @@ Examples:
   trocar render --task ActiveTrack-v0 --fps 50 --out track.gif smoother, in as long
   trocar render --task PegTransfer-v0 --camera endoscope --show rgb,depth,mask --out peg.png
   trocar render --task NeedlePick-v0 --eye 0.8,0.2,0.9 --target 0.55,0,0.7 --out near.png
+  trocar render --task NeedlePick-v0 --look cavity --camera endoscope --out dark.png
   trocar render --policy NeedlePick --seconds 5 --out pick.gif one of `trocar policies`
   trocar render --policy policy.onnx --out trained.gif         a policy of `python -m trocar.rl export`
   trocar render --each pictures/                               one picture of each task
@@ -52,6 +53,9 @@ pub(crate) struct Render {
     seconds: f64,
     #[command(flatten)]
     look: Look,
+    /// In what light: bench, or cavity (from a lamp at the endoscope); the same as --option look=WORD
+    #[arg(long = "look", value_name = "WORD")]
+    light: Option<String>,
     /// Any option of the task; for a row of a table NAME.ROW=LOW,HIGH. May be repeated
     #[arg(long = "option", value_name = "NAME=VALUE", value_parser = Assignment::parse)]
     options: Vec<Assignment>,
@@ -71,7 +75,9 @@ impl Render {
         let ids = policy.tasks(&self.task, all)?;
         let specs: Result<Vec<_>, _> =
             ids.iter().map(|id| registry.spec(id, &Options::new())).collect();
-        let tasks = options::for_tasks(&policy.with_options(self.options.clone())?, &specs?)?;
+        let light = self.light.iter().map(|word| Assignment::new("look", word));
+        let given = light.chain(self.options.iter().cloned()).collect();
+        let tasks = options::for_tasks(&policy.with_options(given)?, &specs?)?;
         let (path, format) = match (&self.each, &self.out) {
             (Some(folder), _) => return self.each(&registry, &policy, &tasks, folder),
             (None, Some(path)) => (path, Format::of(path)?),

@@ -88,6 +88,30 @@ fn every_task_looks_as_it_did() {
 }
 
 #[test]
+fn a_cavity_is_darker_and_other_looks_are_refused() {
+    let sheet = |look: &str| {
+        let path = PathBuf::from(env!("CARGO_TARGET_TMPDIR")).join(format!("{look}.png"));
+        let output = Command::new(env!("CARGO_BIN_EXE_trocar"))
+            .args(["render", "--task", "NeedleReach-v0", "--size", "64x48", "--look", look])
+            .args(["--camera", "endoscope", "--moments", "1", "--out"])
+            .arg(&path)
+            .output()
+            .unwrap();
+        (path, output)
+    };
+    let light = |look: &str| {
+        let (path, output) = sheet(look);
+        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+        read(&path).rgb.iter().map(|byte| u64::from(*byte)).sum::<u64>()
+    };
+    let (bench, cavity) = (light("bench"), light("cavity"));
+    assert!(0 < cavity && cavity < bench, "{cavity} of {bench}");
+    let (_, refused) = sheet("night");
+    let told = String::from_utf8_lossy(&refused.stderr);
+    assert!(refused.status.code() == Some(2) && told.contains("cavity"), "{told}");
+}
+
+#[test]
 fn a_change_that_can_be_seen_is_found() {
     let expected = read(&golden().join("NeedlePick-v0.png"));
     let shifted = Image { rgb: [&expected.rgb[12..], &expected.rgb[..12]].concat(), ..expected };

@@ -6,12 +6,15 @@
 //! | [`camera`] | intrinsics, extrinsics, projection |
 //! | [`picture`] | what was seen |
 //! | [`mesh`], [`material`] | forms and looks, from `assets/` |
+//! | [`tissue`], [`texture`] | vessels, lobules and spots of soft bodies |
+//! | [`light`] | on the bench, or from the endoscope in a dark cavity |
 //! | [`skeleton`] | the links of an arm from its URDF |
 //! | [`software`] | the renderer: [`project`] and [`raster`] find what each pixel shows, [`shadow`] what the lamp reaches, [`shade`] the colours |
 //!
 //! The same scene and camera give the same bytes whatever draws them and however many threads do.
 
 pub mod camera;
+pub mod light;
 pub mod material;
 pub mod mesh;
 pub mod picture;
@@ -22,8 +25,11 @@ mod shade;
 mod shadow;
 pub mod skeleton;
 pub mod software;
+mod texture;
+pub mod tissue;
 
 pub use camera::{Camera, Intrinsics, Viewpoint};
+pub use light::Look;
 pub use picture::{Canvas, Picture};
 pub use scene::{Jaws, Lens, Scene};
 pub use software::Software;

@@ -2,6 +2,7 @@
 //! rasteriser asks of them.
 
 use super::mesh::Mesh;
+use crate::sim::world::RestSurface;
 
 /// A linear map and a shift, rows of (x, y, z, 1).
 pub(super) type Affine = [[f32; 4]; 3];
@@ -60,6 +61,10 @@ pub(super) struct Faces {
     /// Unit normal in the world and key of each vertex, for shading.
     pub(super) normals: Vec<[f32; 4]>,
     pub(super) faces: Vec<Face>,
+    /// Where the vertices of painted instances are in the body at rest, m.
+    rest: Vec<[f32; 3]>,
+    /// Painted instances, and by how much the numbers of their vertices are greater than those of their places at rest.
+    painted: Vec<(u32, u32)>,
     /// How much the triangles of a mesh face the eye.
     facing: Vec<f32>,
 }
@@ -69,19 +74,32 @@ impl Faces {
         self.places.clear();
         self.normals.clear();
         self.faces.clear();
+        self.rest.clear();
+        self.painted.clear();
+    }
+
+    /// Where the corners of a face of a painted instance are in the body at rest, m.
+    pub(super) fn rest_of(&self, face: &Face) -> Option<[[f32; 3]; 3]> {
+        let (_, less) = self.painted.iter().find(|(instance, _)| *instance == face.instance)?;
+        Some(face.vertices.map(|vertex| self.rest[(vertex - less) as usize]))
     }
 
     /// Adds the faces of a mesh that the projection sees from outside. `turn` takes its normals to the
-    /// world; without it there are none.
+    /// world; without it there are none. `rest` is where the vertices are in a painted body at rest.
     pub(super) fn add(
         &mut self,
         mesh: &Mesh,
         instance: u32,
         view_from_mesh: &Affine,
         turn: Option<&[[f32; 3]; 3]>,
+        rest: Option<&RestSurface>,
         projection: &Projection,
     ) {
         let first = self.places.len();
+        if let Some(rest) = rest {
+            self.painted.push((instance, (first - self.rest.len()) as u32));
+            self.rest.extend(rest.vertices.iter().map(|at| <[f32; 3]>::from(at.coords)));
+        }
         let nearest = self.add_vertices(mesh, view_from_mesh, projection);
         if let Some(turn) = turn {
             let [nx, ny, nz] = &mesh.normals;
@@ -104,7 +122,10 @@ impl Faces {
                 match ahead.count() {
                     0 => {}
                     3 => self.add_face(corners, instance, projection),
-                    _ => self.add_clipped(corners, instance, projection, near, turn.is_some()),
+                    _ => {
+                        let has = [turn.is_some(), rest.is_some()];
+                        self.add_clipped(corners, instance, projection, near, has);
+                    }
                 }
             }),
         }
@@ -148,14 +169,15 @@ impl Faces {
         nearest
     }
 
-    /// Adds what lies beyond the near plane of a triangle that passes through it.
+    /// Adds what lies beyond the near plane of a triangle that passes through it. `has` says whether vertices have
+    /// normals, and places at rest.
     fn add_clipped(
         &mut self,
         corners: [u32; 3],
         instance: u32,
         projection: &Projection,
         near: f32,
-        has_normals: bool,
+        has: [bool; 2],
     ) {
         let mut kept = [0; 4];
         let mut count = 0;
@@ -169,7 +191,7 @@ impl Faces {
             if (start > near) != (end > near) {
                 // Cut from the same side for both triangles at an edge, so that no gap opens.
                 let (from, to) = if start > end { (from, to) } else { (to, from) };
-                kept[count] = self.add_cut(from, to, projection, near, has_normals);
+                kept[count] = self.add_cut(from, to, projection, near, has);
                 count += 1;
             }
         }
@@ -186,7 +208,7 @@ impl Faces {
         to: u32,
         projection: &Projection,
         near: f32,
-        has_normals: bool,
+        [has_normals, has_rest]: [bool; 2],
     ) -> u32 {
         let (from, to) = (from as usize, to as usize);
         let (start, end) = (self.places[from], self.places[to]);
@@ -203,6 +225,11 @@ impl Faces {
             let (start, end) = (self.normals[from], self.normals[to]);
             let [nx, ny, nz] = [0, 1, 2].map(|axis| between(start[axis], end[axis]));
             self.normals.push([nx, ny, nz, key]);
+        }
+        if has_rest {
+            let (_, less) = self.painted[self.painted.len() - 1];
+            let (start, end) = (self.rest[from - less as usize], self.rest[to - less as usize]);
+            self.rest.push(std::array::from_fn(|axis| between(start[axis], end[axis])));
         }
         self.places.len() as u32 - 1
     }

@@ -8,11 +8,14 @@ use nalgebra::{Point3, Vector3};
 use trocar_proto::spec::STEREO_BASELINE;
 
 use super::camera::{self, Camera, Viewpoint};
+use super::light::{Light, Look};
 use super::material::Material;
 use super::mesh::Mesh;
+use super::tissue::{Paint, Tissue};
 use crate::assets::{Model, Scaled, Visual};
 use crate::sim::frames::{Aabb, Pose};
-use crate::sim::world::{Motion, World};
+use crate::sim::random::Rng;
+use crate::sim::world::{Motion, RestSurface, World};
 
 /// Which body a pixel shows: 0 is none, n the n-th that was added to the scene. A task adds its bodies in
 /// the same order every time.
@@ -34,37 +37,30 @@ pub struct Instance {
     pub body: BodyNumber,
     /// Its look.
     pub material: Material,
+    /// The body at rest, if it deforms: as many vertices as its mesh has.
+    pub rest: Option<Arc<RestSurface>>,
+    /// What lies on its colour, if it is tissue; it is bound to the body at rest.
+    pub paint: Option<Paint>,
 }
 
 impl Instance {
+    /// Red, green, blue of its vertices, linear, each as the mean of what is near it; none where it has one colour.
+    pub fn vertex_colours(&self) -> Vec<[f32; 3]> {
+        /// About the distance of neighbouring vertices, m.
+        const WIDTH: f32 = 2e-3;
+        let Some((paint, rest)) = self.paint.as_ref().zip(self.rest.as_ref()) else {
+            return vec![];
+        };
+        let colour = |at: &Point3<f32>| {
+            let factors = paint.colour_at(at.coords.into(), WIDTH);
+            std::array::from_fn(|channel| self.material.colour[channel] * factors[channel])
+        };
+        rest.vertices.iter().map(colour).collect()
+    }
+
     /// Middle, in the axes of the mesh, and radius of a ball around it, m.
     pub(super) fn ball(&self) -> (Point3<f64>, f64) {
         (self.mesh.centre * self.size, self.mesh.radius * self.size)
-    }
-}
-
-/// A lamp so far away that its rays are parallel, and the light that comes from everywhere else.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Light {
-    /// Unit vector towards the lamp.
-    pub direction: Vector3<f64>,
-    /// Red, green, blue of the lamp on a surface that faces it.
-    pub lamp: [f32; 3],
-    /// Red, green, blue from above.
-    pub sky: [f32; 3],
-    /// Red, green, blue from below.
-    pub ground: [f32; 3],
-}
-
-impl Default for Light {
-    /// A theatre lamp over the right shoulder of a viewer that looks from +x.
-    fn default() -> Self {
-        Self {
-            direction: Vector3::new(0.38, 0.34, 0.86).normalize(),
-            lamp: [0.92, 0.885, 0.83],
-            sky: [0.33, 0.35, 0.38],
-            ground: [0.15, 0.142, 0.138],
-        }
     }
 }
 
@@ -108,8 +104,8 @@ impl Default for Scene {
             instances: Vec::with_capacity(64),
             bodies: Vec::with_capacity(32),
             jaws: Vec::new(),
-            light: Light::default(),
-            background: [0.72, 0.76, 0.80],
+            light: Look::Bench.light(),
+            background: Look::Bench.background(),
             stage: Aabb::new([-0.5; 3], [0.5; 3]),
             endoscope: None,
             endoscope_joints: None,
@@ -146,7 +142,15 @@ impl Scene {
     ) {
         let body = self.bodies.len() as BodyNumber;
         assert!(body > 0, "what is drawn belongs to a body");
-        self.instances.push(Instance { mesh, world_from_mesh, size, body, material });
+        self.instances.push(Instance {
+            mesh,
+            world_from_mesh,
+            size,
+            body,
+            material,
+            rest: None,
+            paint: None,
+        });
     }
 
     /// Adds a body that looks as its model.
@@ -226,15 +230,24 @@ impl Scene {
         }
     }
 
-    /// Adds the bodies of a world that are not rigid.
-    pub fn add_others(&mut self, world: &World) {
+    /// Adds the bodies of a world that are not rigid. Each has other vessels and lobules, which `rng` draws.
+    pub fn add_others(&mut self, world: &World, rng: &mut Rng) {
         for other in world.others() {
             let skin = other.surface();
             self.begin(skin.name);
-            let mesh = Mesh::new(&skin.vertices, &skin.normals, skin.triangles);
-            let material = Material::named("foam").coloured(skin.colour);
-            self.draw(Arc::new(mesh), Pose::identity(), material);
+            let mesh = Mesh::new(&skin.vertices, &skin.normals, skin.rest.triangles.clone());
+            let material =
+                Material::find(&skin.material).unwrap_or_else(|| Material::named("foam"));
+            self.draw(Arc::new(mesh), Pose::identity(), material.coloured(skin.colour));
+            let instance = self.instances.last_mut().expect("it was drawn");
+            instance.paint = Tissue::of(&skin.material).map(|tissue| Paint::new(tissue, rng));
+            instance.rest = Some(skin.rest);
         }
+    }
+
+    /// Shows the scene in this light.
+    pub fn set_look(&mut self, look: Look) {
+        (self.light, self.background) = (look.light(), look.background());
     }
 
     /// Makes `region` (m) the stage, and lets the overview and the endoscope look at it.

@@ -11,6 +11,7 @@ use std::sync::LazyLock;
 use wide::f32x8;
 
 use super::camera::Camera;
+use super::light::{self, WORKING_DISTANCE};
 use super::material;
 use super::project::Faces;
 use super::raster::{self, LANES, Shown};
@@ -31,7 +32,17 @@ pub(super) struct Shader<'a> {
     /// The direction of pixel (x, y) is the first plus x times the second plus y times the third.
     ray: [[f32; 3]; 3],
     eye: [f32; 3],
-    lamp: [f32; 3],
+    lamp: Lamp,
+    /// What a pixel shows of a surface at a depth of 1 m that faces it, m.
+    width: f32,
+}
+
+/// From where the lamp shines.
+enum Lamp {
+    /// From everywhere in this direction.
+    Far([f32; 3]),
+    /// From this place along this axis, m.
+    Near { place: [f32; 3], axis: [f32; 3] },
 }
 
 impl<'a> Shader<'a> {
@@ -45,13 +56,24 @@ impl<'a> Shader<'a> {
         let vector = |vector: nalgebra::Vector3<f64>| [0, 1, 2].map(|axis| vector[axis] as f32);
         let start = camera.ray(0.0, 0.0);
         let (right, down) = (camera.ray(1.0, 0.0) - start, camera.ray(0.0, 1.0) - start);
+        let lamp = match (scene.light.place, &scene.endoscope) {
+            (light::Lamp::Far(direction), _) => Lamp::Far(vector(direction)),
+            (light::Lamp::AtEndoscope, Some(endoscope)) => {
+                let at = &endoscope.world_from_camera;
+                let axis = vector(at.rotation * nalgebra::Vector3::z());
+                Lamp::Near { place: vector(at.translation.vector), axis }
+            }
+            // Nothing is lit where there is no endoscope.
+            (light::Lamp::AtEndoscope, None) => Lamp::Near { place: [0.0; 3], axis: [0.0; 3] },
+        };
         Self {
             scene,
             faces,
             shadow,
             ray: [vector(turn * start), vector(turn * right), vector(turn * down)],
             eye: vector(camera.world_from_camera.translation.vector),
-            lamp: vector(scene.light.direction),
+            lamp,
+            width: (1.0 / camera.intrinsics.fy) as f32,
         }
     }
 
@@ -97,7 +119,17 @@ impl<'a> Shader<'a> {
             let edge = Eight::splat(a) * shown.columns + Eight::splat(b * shown.row + c);
             edge * (scale * Eight::splat(key))
         });
-        let material = &self.scene.instances()[face.instance as usize].material;
+        let instance = &self.scene.instances()[face.instance as usize];
+        let material = &instance.material;
+        let painted = instance.paint.as_ref().zip(self.faces.rest_of(face)).map(|(paint, rest)| {
+            let rest: Triple = std::array::from_fn(|axis| {
+                let of = |corner: usize| Eight::splat(rest[corner][axis]) * weights[corner];
+                of(0) + of(1) + of(2)
+            });
+            let nearest = pixels.bitselect(shown.depth, Eight::splat(f32::MAX)).to_array();
+            let depth = nearest.into_iter().fold(f32::MAX, f32::min);
+            paint.at(rest, depth * self.width)
+        });
         for (axis, sum) in surface.normal.iter_mut().enumerate() {
             let of = |corner: usize| Eight::splat(normals[corner][axis]) * weights[corner];
             *sum |= pixels & (of(0) + of(1) + of(2));
@@ -106,7 +138,17 @@ impl<'a> Shader<'a> {
             *sum |= pixels & Eight::splat(colour);
         }
         surface.metallic |= pixels & Eight::splat(material.metallic);
-        surface.roughness |= pixels & Eight::splat(material.roughness);
+        let mut roughness = Eight::splat(material.roughness);
+        if let Some(painted) = painted {
+            for (sum, factor) in surface.colour.iter_mut().zip(painted.colour) {
+                *sum = pixels.bitselect(*sum * factor, *sum);
+            }
+            for (sum, tilt) in surface.normal.iter_mut().zip(painted.tilt) {
+                *sum = pixels.bitselect(*sum + tilt, *sum);
+            }
+            roughness *= painted.roughness;
+        }
+        surface.roughness |= pixels & roughness;
     }
 
     fn lit(&self, surface: &Surface, ray: &Triple, place: Triple) -> Triple {
@@ -114,7 +156,7 @@ impl<'a> Shader<'a> {
         let (zero, one) = (number(0.0), number(1.0));
         let normal = surface.normal;
         let view = unit(ray.map(|part| -part));
-        let lamp = self.lamp.map(Eight::splat);
+        let (lamp, strength) = self.towards_lamp(&place);
         let [towards_lamp, towards_view] = [dot(&normal, &lamp), dot(&normal, &view)];
         let facing_lamp = towards_lamp.max(zero);
         let facing_view = towards_view.max(number(1e-3));
@@ -137,7 +179,7 @@ impl<'a> Shader<'a> {
             Some(map) if facing_lamp.simd_gt(zero).any() => map.light(place, normal),
             _ => one,
         };
-        let lamp_part = facing_lamp * shadow;
+        let lamp_part = facing_lamp * shadow * strength;
 
         // What the theatre sends back, by Karis' fit.
         let (rough, facing_view) = (surface.roughness, facing_view);
@@ -172,6 +214,26 @@ impl<'a> Shader<'a> {
         })
     }
 
+    /// The directions of the lamp from eight places, and how bright it is there.
+    fn towards_lamp(&self, at: &Triple) -> (Triple, Eight) {
+        /// So much brighter the nearest surfaces are at most: what is nearer hides the lamp.
+        const BRIGHTEST: f32 = 8.0;
+        let number = Eight::splat;
+        match &self.lamp {
+            Lamp::Far(direction) => (direction.map(number), number(1.0)),
+            Lamp::Near { place, axis } => {
+                let way: Triple = std::array::from_fn(|axis| number(place[axis]) - at[axis]);
+                let squared = dot(&way, &way).max(number(1e-12));
+                let direction = way.map(|part| part / squared.sqrt());
+                let falloff = number((WORKING_DISTANCE * WORKING_DISTANCE) as f32) / squared;
+                // The beam is brightest along its axis.
+                let along = (-dot(&direction, &axis.map(number))).max(number(0.0));
+                let beam = along * along;
+                (direction, falloff.min(number(BRIGHTEST)) * beam * beam)
+            }
+        }
+    }
+
     /// What comes from a direction of the theatre: floor, walls and ceiling, and a wide bright field about
     /// the lamp, whose edge is as soft as the surface is rough.
     fn theatre(&self, direction: &Triple, lamp: &Triple, rough: Eight) -> Triple {
@@ -180,9 +242,13 @@ impl<'a> Shader<'a> {
         let height = direction[2];
         // From the floor (−1) over the horizon to the ceiling.
         let rise = smooth((height + number(0.25)) * (one_over(number(0.3) + rough)));
+        // A lamp at the endoscope is too small to be seen in mirrors but as a glint.
+        let glow = match self.lamp {
+            Lamp::Far(_) => number(0.95) - number(0.55) * rough,
+            Lamp::Near { .. } => number(0.0),
+        };
         let field = dot(direction, lamp) - number(0.55) + rough * number(0.2);
         let field = smooth(field * one_over(number(0.12) + number(0.6) * rough));
-        let glow = number(0.95) - number(0.55) * rough;
         std::array::from_fn(|channel| {
             let ground = number(light.ground[channel] * 0.9);
             let sky = number(light.sky[channel] * 1.5);

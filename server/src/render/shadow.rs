@@ -5,6 +5,7 @@ use nalgebra::{Matrix3, Point3, Rotation3, UnitQuaternion, Vector3};
 use wide::f32x8;
 
 use super::camera::Camera;
+use super::light::Lamp;
 use super::project::{Faces, Projection};
 use super::raster::{Bins, LANES, TILE, Tile};
 use super::scene::Scene;
@@ -42,7 +43,10 @@ impl ShadowMap {
     /// Draws what the lamp sees of what `camera` can see of the stage. `size` is a multiple of [`TILE`].
     pub(super) fn draw(&mut self, scene: &Scene, camera: &Camera, size: usize, tile: &mut Tile) {
         self.size = size;
-        let lamp_from_world = lamp_from_world(&scene.light.direction);
+        let lamp_from_world = match &scene.light.place {
+            Lamp::Far(direction) => lamp_from_world(direction),
+            Lamp::AtEndoscope => return,
+        };
         let region = region(scene, camera, &lamp_from_world);
         let (middle, extents) = (region.centre(), region.extents());
         // A little more than the region, so that the edges can be blurred.
@@ -64,7 +68,7 @@ impl ShadowMap {
             let reach = half * pixel + radius;
             if centre.x.abs() < reach && centre.y.abs() < reach {
                 let view = rows(&lamp_from_mesh, instance.size);
-                self.faces.add(&instance.mesh, number as u32, &view, None, &projection);
+                self.faces.add(&instance.mesh, number as u32, &view, None, None, &projection);
             }
         }
         self.bins.sort(projection.size, &self.faces.faces);

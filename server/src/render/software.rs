@@ -7,6 +7,7 @@ use wide::f32x8;
 
 use super::Renderer;
 use super::camera::Camera;
+use super::light::Lamp;
 use super::picture::Canvas;
 use super::project::{Faces, Projection};
 use super::raster::{Bins, LANES, Shown, TILE, Tile};
@@ -91,7 +92,8 @@ impl Software {
     fn draw(&self, scene: &Scene, camera: &Camera, canvas: Canvas<'_>, scratch: &mut Scratch) {
         let Canvas { mut rgb, depth, mask } = canvas;
         let Scratch { faces, bins, shadow, tile, samples } = scratch;
-        let has_shadow = rgb.is_some() && self.shadow >= TILE;
+        let is_far = matches!(scene.light.place, Lamp::Far(_));
+        let has_shadow = rgb.is_some() && self.shadow >= TILE && is_far;
         if has_shadow {
             let intrinsics = &camera.intrinsics;
             let size = intrinsics.width.max(intrinsics.height).max(LEAST_SHADOW);
@@ -260,7 +262,9 @@ fn project(scene: &Scene, camera: &Camera, with_normals: bool, faces: &mut Faces
             let turn = shadow::rows(&instance.world_from_mesh, 1.0).map(|[x, y, z, _]| [x, y, z]);
             let turn = with_normals.then_some(&turn);
             let view = shadow::rows(&camera_from_mesh, instance.size);
-            faces.add(&instance.mesh, number as u32, &view, turn, &projection);
+            let is_painted = with_normals && instance.paint.is_some();
+            let rest = instance.rest.as_deref().filter(|_| is_painted);
+            faces.add(&instance.mesh, number as u32, &view, turn, rest, &projection);
         }
     }
 }

@@ -37,6 +37,13 @@ impl Rng {
         rng
     }
 
+    /// The generator of the same episode for what things look like, independent of the others.
+    pub fn appearance(seed: u64, episode: u64) -> Self {
+        let mut rng = Self::new(seed, episode);
+        rng.0.set_stream(4);
+        rng
+    }
+
     /// The generator with which the `index`-th prepared start is made, the same for every seed.
     pub fn start(index: u64) -> Self {
         let mut rng = Self::new(index, 0);

@@ -34,7 +34,7 @@ pub use attachment::AttachmentId;
 pub use contact::{Contact, Overlap, Push};
 pub use hinge::{Hinge, HingedId, JawMotor};
 pub use inertia::Inertia;
-pub use non_rigid::{NonRigid, Surface};
+pub use non_rigid::{NonRigid, RestSurface, Surface};
 pub use soft::SoftId;
 pub use spring::{Spring, SprungId};
 

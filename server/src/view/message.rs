@@ -6,12 +6,16 @@
 //!
 //! | kind | words |
 //! |---|---|
-//! | [`MESH`] | number of the mesh, v, t; positions 3·v f32 (m), normals 3·v f32, triangles 3·t u32 |
-//! | [`FRAME`] | scene, flags, steps, seed (2), episode (2), stage, and the numbers of parts, contacts, jaws and marks; endoscope: pose, view (rad); parts: pose each; contacts: point (m) and force (N) each; jaws: opening, asked (rad), two pressures (N) each; marks: reward f32, flags u32 each |
+//! | [`MESH`] | number of the mesh, v, t, c; positions 3·v f32 (m), normals 3·v f32, triangles 3·t u32, colours of the vertices 3·c f32 (red, green, blue, linear; c is v or 0) |
+//! | [`FRAME`] | scene, flags, steps, seed (2), episode (2), stage, the numbers of parts, contacts, jaws and marks, and of words of skins; endoscope: pose, view (rad); parts: pose each; contacts: point (m) and force (N) each; jaws: opening, asked (rad), two pressures (N) each; marks: reward f32, flags u32 each; skins |
 //! | [`PICTURE`] | session (2), environment, then a PNG: what the endoscope sees |
 //!
 //! A *pose* is x, y, z (m) and a unit quaternion x, y, z, w, seven f32 in the world frame. A frame names the
 //! `scene` whose parts it moves; meshes come before the first scene that names them, and once a connection.
+//!
+//! A *skin* is where the vertices of a part that deforms are now; there is one for each such part, in their order. It has
+//! the least corner of a box around them (m) and the edges of a step in it (m), six f32, and for each vertex the steps
+//! along x, y and z, three u16, filled up to a whole word.
 
 use std::sync::Arc;
 
@@ -19,6 +23,7 @@ use bytemuck::cast_slice;
 use serde::{Deserialize, Serialize};
 
 use super::source::{About, Moment, Pace, SessionCard, Wish};
+use crate::render::light::Lamp;
 use crate::render::mesh::Mesh;
 use crate::render::scene::Instance;
 use crate::render::{Scene, Viewpoint};
@@ -137,11 +142,14 @@ struct PartCard {
     colour: [f32; 3],
     metallic: f32,
     roughness: f32,
+    /// Frames have a skin of it.
+    deforms: bool,
 }
 
 #[derive(Debug, Serialize)]
 struct LightCard {
-    direction: [f64; 3],
+    /// Towards the lamp; none where that is at the endoscope.
+    direction: Option<[f64; 3]>,
     lamp: [f32; 3],
     sky: [f32; 3],
     ground: [f32; 3],
@@ -201,8 +209,10 @@ impl SceneEncoder {
         }
         let parts = scene.instances().iter().map(|part| {
             let is_it = |known: &Arc<Mesh>| Arc::ptr_eq(known, &part.mesh) || **known == *part.mesh;
-            let number = self.meshes.iter().position(is_it).unwrap_or_else(|| {
-                messages.push(Message::Bytes(mesh(self.meshes.len() as u32, &part.mesh)));
+            // What deforms has a mesh of its own, which frames change.
+            let known = self.meshes.iter().position(is_it).filter(|_| part.rest.is_none());
+            let number = known.unwrap_or_else(|| {
+                messages.push(Message::Bytes(mesh(self.meshes.len() as u32, part)));
                 self.meshes.push(Arc::clone(&part.mesh));
                 self.meshes.len() - 1
             });
@@ -213,6 +223,7 @@ impl SceneEncoder {
                 colour: part.material.colour,
                 metallic: part.material.metallic,
                 roughness: part.material.roughness,
+                deforms: part.rest.is_some(),
             }
         });
         let parts = parts.collect();
@@ -227,7 +238,10 @@ impl SceneEncoder {
             parts,
             jaws: scene.jaws.iter().map(|jaws| jaws.arm).collect(),
             light: LightCard {
-                direction: light.direction.into(),
+                direction: match light.place {
+                    Lamp::Far(direction) => Some(direction.into()),
+                    Lamp::AtEndoscope => None,
+                },
                 lamp: light.lamp,
                 sky: light.sky,
                 ground: light.ground,
@@ -243,11 +257,17 @@ impl SceneEncoder {
     }
 }
 
-/// Whether two scenes differ only in where their parts are.
+/// Whether two scenes differ only in where their parts are, and in how they are deformed.
 fn is_like(one: &Scene, other: &Scene) -> bool {
     let same_part = |(one, other): (&Instance, &Instance)| {
+        let same_form = match (&one.rest, &other.rest) {
+            (Some(one), Some(other)) => Arc::ptr_eq(one, other) || one == other,
+            (None, None) => Arc::ptr_eq(&one.mesh, &other.mesh) || one.mesh == other.mesh,
+            _ => false,
+        };
         (one.size, one.body, one.material) == (other.size, other.body, other.material)
-            && (Arc::ptr_eq(&one.mesh, &other.mesh) || one.mesh == other.mesh)
+            && one.paint == other.paint
+            && same_form
     };
     let arms = |scene: &Scene| scene.jaws.iter().map(|jaws| jaws.arm).collect::<Vec<_>>();
     one.instances().len() == other.instances().len()
@@ -258,15 +278,41 @@ fn is_like(one: &Scene, other: &Scene) -> bool {
         && one.overview == other.overview
 }
 
-fn mesh(number: u32, mesh: &Mesh) -> Vec<u8> {
+fn mesh(number: u32, part: &Instance) -> Vec<u8> {
+    let mesh = &part.mesh;
     let (vertices, triangles) = (mesh.vertices().count(), mesh.triangles());
-    let mut bytes = Vec::with_capacity(16 + 24 * vertices + 12 * triangles.len());
-    let head = [MESH, number, vertices as u32, triangles.len() as u32];
+    let colours = part.vertex_colours();
+    let mut bytes = Vec::with_capacity(20 + 36 * vertices + 12 * triangles.len());
+    let head = [MESH, number, vertices as u32, triangles.len() as u32, colours.len() as u32];
     bytes.extend_from_slice(cast_slice(&head));
     mesh.vertices().for_each(|at| bytes.extend_from_slice(cast_slice(at.coords.as_slice())));
     mesh.normals().for_each(|normal| bytes.extend_from_slice(cast_slice(normal.as_slice())));
     bytes.extend_from_slice(cast_slice(triangles));
+    bytes.extend_from_slice(cast_slice(&colours));
     bytes
+}
+
+/// The words of a skin.
+fn skin(mesh: &Mesh) -> Vec<u32> {
+    /// Steps along each edge of the box.
+    const STEPS: f32 = 65535.0;
+    let bounds = mesh.vertices().fold([[f32::MAX; 3], [f32::MIN; 3]], |[low, high], at| {
+        let along = |axis: usize| (low[axis].min(at[axis]), high[axis].max(at[axis]));
+        let both = [0, 1, 2].map(along);
+        [both.map(|(low, _)| low), both.map(|(_, high)| high)]
+    });
+    let [low, high] = if mesh.is_empty() { [[0.0; 3]; 2] } else { bounds };
+    let step: [f32; 3] = std::array::from_fn(|axis| (high[axis] - low[axis]) / STEPS);
+    let steps = mesh.vertices().flat_map(|at| {
+        [0, 1, 2].map(|axis: usize| {
+            let along = if step[axis] > 0.0 { (at[axis] - low[axis]) / step[axis] } else { 0.0 };
+            (along + 0.5) as u16
+        })
+    });
+    let mut halves: Vec<u16> = steps.collect();
+    halves.resize(halves.len().next_multiple_of(2), 0);
+    let places = halves.chunks_exact(2).map(|two| u32::from(two[0]) | u32::from(two[1]) << 16);
+    low.into_iter().chain(step).map(f32::to_bits).chain(places).collect()
 }
 
 /// The bytes of a frame; the scene is not `moment`'s, but beside it.
@@ -275,6 +321,8 @@ fn frame(number: u32, scene: &Scene, moment: &Moment) -> Vec<u8> {
     let mut contacts: Vec<_> = moment.contacts.iter().collect();
     contacts.sort_by(|one, other| other.force.norm().total_cmp(&one.force.norm()));
     contacts.truncate(MOST_CONTACTS);
+    let deforming = parts.iter().filter(|part| part.rest.is_some());
+    let skins: Vec<_> = deforming.flat_map(|part| skin(&part.mesh)).collect();
     let flags = if scene.endoscope.is_some() { HAS_ENDOSCOPE } else { 0 };
     let halves = |number: u64| [number as u32, (number >> 32) as u32];
     let ([seed, seed_high], [episode, episode_high]) =
@@ -293,6 +341,7 @@ fn frame(number: u32, scene: &Scene, moment: &Moment) -> Vec<u8> {
         contacts.len() as u32,
         scene.jaws.len() as u32,
         moment.marks.len() as u32,
+        skins.len() as u32,
     ];
     let mut put = |numbers: &[f32]| words.extend(numbers.iter().map(|number| number.to_bits()));
     let (at, view) = match &scene.endoscope {
@@ -317,6 +366,7 @@ fn frame(number: u32, scene: &Scene, moment: &Moment) -> Vec<u8> {
         let flags = flags.into_iter().filter(|(is_set, _)| *is_set).map(|(_, flag)| flag);
         words.extend([mark.reward.to_bits(), flags.sum()]);
     }
+    words.extend(skins);
     cast_slice(&words).to_vec()
 }
 

@@ -53,20 +53,21 @@ export class Link {
 }
 
 function mesh(buffer) {
-  const [, number, vertices, triangles] = new Uint32Array(buffer, 0, 4);
+  const [, number, vertices, triangles, colours] = new Uint32Array(buffer, 0, 5);
   return {
     number,
-    positions: new Float32Array(buffer, 16, 3 * vertices),
-    normals: new Float32Array(buffer, 16 + 12 * vertices, 3 * vertices),
-    triangles: new Uint32Array(buffer, 16 + 24 * vertices, 3 * triangles),
+    positions: new Float32Array(buffer, 20, 3 * vertices),
+    normals: new Float32Array(buffer, 20 + 12 * vertices, 3 * vertices),
+    triangles: new Uint32Array(buffer, 20 + 24 * vertices, 3 * triangles),
+    colours: colours > 0 ? new Float32Array(buffer, 20 + 24 * vertices + 12 * triangles, 3 * colours) : null,
   };
 }
 
 function frame(buffer) {
-  const head = new Uint32Array(buffer, 0, 13);
-  const [, scene, flags, steps, , , , , stage, parts, contacts, jaws, marks] = head;
+  const head = new Uint32Array(buffer, 0, 14);
+  const [, scene, flags, steps, , , , , stage, parts, contacts, jaws, marks, skins] = head;
   const whole = (low) => (BigInt(head[low + 1]) << 32n) | BigInt(head[low]);
-  let at = 52;
+  let at = 56;
   const numbers = (count) => {
     const array = new Float32Array(buffer, at, count);
     at += 4 * count;
@@ -84,6 +85,7 @@ function frame(buffer) {
     contacts: numbers(6 * contacts),
     jaws: numbers(4 * jaws),
     marks: [],
+    skins: new Uint32Array(buffer, at + 8 * marks, skins),
   };
   const words = new DataView(buffer, at);
   for (let index = 0; index < marks; index++) {

@@ -3,7 +3,7 @@
 import {
   BufferAttribute, BufferGeometry, Color, ConeGeometry, CylinderGeometry, DirectionalLight, Fog,
   Group, HemisphereLight, InstancedMesh, Matrix4, Mesh, MeshBasicMaterial, MeshStandardMaterial, NeutralToneMapping, PCFShadowMap,
-  PerspectiveCamera, PMREMGenerator, Quaternion, Raycaster, Scene, Sphere, SphereGeometry, Vector2, Vector3, WebGLRenderer,
+  PerspectiveCamera, PMREMGenerator, Quaternion, Raycaster, Scene, Sphere, SphereGeometry, SpotLight, Vector2, Vector3, WebGLRenderer,
 } from "three";
 import { OrbitControls } from "three/addons/controls/OrbitControls.js";
 import { RoomEnvironment } from "three/addons/environments/RoomEnvironment.js";
@@ -15,7 +15,11 @@ const MOST_CONTACTS = 64;
 const LATE = 70;
 /** OpenCV's cameras look along z with y down, three.js's along −z with y up. */
 const FROM_OPENCV = new Quaternion(1, 0, 0, 0);
-const BACKDROP = 0x141a20;
+const BACKDROP = 0x141a20, CAVITY_BACKDROP = 0x0c0404;
+/** How much of the room is mirrored. */
+const BENCH_GLOSS = 0.36, CAVITY_GLOSS = 0.05;
+/** As bright as the lamp of the bench on what is 160 mm away, cd. */
+const SCOPE_LIGHT = 1.9 * 0.16 ** 2;
 /** What has a larger radius is what objects lie on, m. */
 const LARGEST_OBJECT = 0.03;
 /** The angle of a close view from the upper to the lower edge, rad. */
@@ -28,6 +32,8 @@ export class Theatre {
   #scene = new Scene();
   #controls;
   #lamp = new DirectionalLight();
+  /** The lamp at the endoscope. */
+  #scopeLight = new SpotLight(0xffffff, SCOPE_LIGHT, 0, 1.2, 1);
   #sky = new HemisphereLight();
   #geometries = new Map();
   #materials = new Map();
@@ -69,14 +75,14 @@ export class Theatre {
     // Its least size, 256 px a face, would keep a page without a graphics processor for four seconds.
     if (this.#isSlow) room._setSize = () => (room._cubeSize = 64);
     this.#scene.environment = room.fromScene(new RoomEnvironment(), 0.03).texture;
-    this.#scene.environmentIntensity = 0.36;
+    this.#scene.environmentIntensity = BENCH_GLOSS;
     room.dispose();
     this.camera.up.set(0, 0, 1);
     this.camera.position.set(1, 0.6, 1);
     this.#lamp.castShadow = true;
     this.#lamp.shadow.mapSize.setScalar(this.#isSlow ? 1024 : 2048);
     this.#lamp.shadow.normalBias = 0.002;
-    this.#scene.add(this.#lamp, this.#lamp.target, this.#sky, this.#contacts.group);
+    this.#scene.add(this.#lamp, this.#lamp.target, this.#scopeLight, this.#scopeLight.target, this.#sky, this.#contacts.group);
     this.#controls = new OrbitControls(this.camera, canvas);
     this.#controls.enableDamping = true;
     this.#controls.dampingFactor = 0.12;
@@ -88,10 +94,11 @@ export class Theatre {
     this.#resize();
   }
 
-  addMesh({ number, positions, normals, triangles }) {
+  addMesh({ number, positions, normals, triangles, colours }) {
     const geometry = new BufferGeometry();
     geometry.setAttribute("position", new BufferAttribute(positions, 3));
     geometry.setAttribute("normal", new BufferAttribute(normals, 3));
+    if (colours) geometry.setAttribute("color", new BufferAttribute(colours, 3));
     geometry.setIndex(new BufferAttribute(triangles, 1));
     this.#geometries.get(number)?.dispose();
     this.#geometries.set(number, geometry);
@@ -120,7 +127,8 @@ export class Theatre {
     this.#card = card;
     this.#parts = card.parts.map((part) => {
       const isGoal = card.bodies[part.body - 1] === "goal";
-      const mesh = new Mesh(this.#geometries.get(part.mesh), this.#material(part, isGoal));
+      const geometry = this.#geometries.get(part.mesh);
+      const mesh = new Mesh(geometry, this.#material(part, isGoal, geometry.hasAttribute("color")));
       mesh.castShadow = !isGoal;
       mesh.receiveShadow = !isGoal;
       mesh.scale.setScalar(part.size);
@@ -131,11 +139,11 @@ export class Theatre {
     this.#light(card);
   }
 
-  #material({ colour, metallic, roughness }, isGoal) {
-    const key = [...colour, metallic, roughness, isGoal].join();
+  #material({ colour, metallic, roughness }, isGoal, isPainted) {
+    const key = [...colour, metallic, roughness, isGoal, isPainted].join();
     if (!this.#materials.has(key)) {
       const color = new Color().setRGB(...colour);
-      const material = new MeshStandardMaterial({ color, metalness: metallic, roughness });
+      const material = new MeshStandardMaterial({ color, metalness: metallic, roughness, vertexColors: isPainted });
       if (isGoal) {
         material.emissive = color;
         material.emissiveIntensity = 0.55;
@@ -154,7 +162,13 @@ export class Theatre {
     this.#lamp.color.setRGB(...light.lamp);
     this.#lamp.intensity = 1.9;
     this.#lamp.target.position.copy(middle);
-    this.#lamp.position.copy(middle).addScaledVector(new Vector3(...light.direction), 2 * radius + 0.5);
+    const isFar = light.direction !== null;
+    this.#lamp.visible = isFar;
+    this.#lamp.position.copy(middle).addScaledVector(new Vector3(...(light.direction ?? [0, 0, 1])), 2 * radius + 0.5);
+    this.#scopeLight.visible = !isFar;
+    this.#scopeLight.color.setRGB(...light.lamp);
+    this.#scene.environmentIntensity = isFar ? BENCH_GLOSS : CAVITY_GLOSS;
+    this.#scene.background.set(isFar ? BACKDROP : CAVITY_BACKDROP);
     const shadow = this.#lamp.shadow.camera;
     Object.assign(shadow, { left: -radius, right: radius, top: radius, bottom: -radius, near: 0.05, far: 4 * radius + 1 });
     shadow.updateProjectionMatrix();
@@ -162,7 +176,7 @@ export class Theatre {
     this.#sky.groundColor.setRGB(...light.ground);
     this.#sky.position.set(0, 0, 1);
     this.#sky.intensity = 0.75;
-    this.#scene.fog = new Fog(BACKDROP, 2.2 + radius, 5.5 + 2 * radius);
+    this.#scene.fog = new Fog(this.#scene.background, 2.2 + radius, 5.5 + 2 * radius);
   }
 
   /** Shows a moment, `fraction` of the way from the frame before, where there is one. */
@@ -172,13 +186,36 @@ export class Theatre {
     if (card !== this.#card) this.#putUp(card);
     if (before?.scene !== frame.scene) before = null;
     this.#parts.forEach((part, index) => place(part, frame.poses, 7 * index, before?.poses, fraction));
+    this.#bend(card, frame.skins, before?.skins, fraction);
     this.#contacts.show(frame.contacts);
     this.#endoscope = frame.endoscope;
+    if (frame.endoscope) this.#moveScopeLight(frame.endoscope);
     if (card.place !== this.#place) this.#open();
     else if (this.#view === "close") this.closeUp();
     this.#place = card.place;
     if (this.#view === "endoscope") this.#rideAlong();
     this.#dirty = true;
+  }
+
+  /** Puts the vertices of what deforms where they are, a fraction of the way from those before. */
+  #bend(card, skins, before, fraction) {
+    let at = 0;
+    this.#parts.forEach((part, index) => {
+      if (!card.parts[index].deforms) return;
+      const { position } = part.geometry.attributes;
+      const ends = before && fraction < 1 ? [[before, 1 - fraction], [skins, fraction]] : [[skins, 1]];
+      position.array.fill(0);
+      for (const [words, share] of ends) addSkin(position.array, words, at, share);
+      at += 6 + Math.ceil(position.array.length / 2);
+      position.needsUpdate = true;
+      part.geometry.computeVertexNormals();
+      part.geometry.computeBoundingSphere();
+    });
+  }
+
+  #moveScopeLight(pose) {
+    atEndoscope(this.#scopeLight, pose);
+    this.#scopeLight.target.position.set(0, 0, -1).applyQuaternion(this.#scopeLight.quaternion).add(this.#scopeLight.position);
   }
 
   set showsContacts(shows) {
@@ -386,7 +423,18 @@ function drawsInSoftware() {
   return !context || /swiftshader|llvmpipe|software/i.test(context.getParameter(names?.UNMASKED_RENDERER_WEBGL ?? context.RENDERER));
 }
 
-/** Puts a camera where the endoscope is. */
+/** Adds a share of the places of a skin, which begins at a word: the box's corner, the edge of a step along each axis,
+ * steps of 16 bits. */
+function addSkin(positions, words, at, share) {
+  const box = new Float32Array(words.buffer, words.byteOffset + 4 * at, 6);
+  const steps = new Uint16Array(words.buffer, words.byteOffset + 4 * (at + 6), positions.length);
+  for (let index = 0; index < positions.length; index++) {
+    const axis = index % 3;
+    positions[index] += share * (box[axis] + box[3 + axis] * steps[index]);
+  }
+}
+
+/** Puts a camera, or what else looks along −z, where the endoscope is. */
 function atEndoscope(camera, [x, y, z, qx, qy, qz, qw]) {
   camera.position.set(x, y, z);
   camera.quaternion.set(qx, qy, qz, qw).multiply(FROM_OPENCV);

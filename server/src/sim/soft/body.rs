@@ -199,8 +199,14 @@ impl NonRigid for SoftBody {
 
     fn surface(&self) -> Surface {
         let (vertices, normals) = self.skin.surface(&self.lattice);
-        let triangles = self.skin.triangles.clone();
-        Surface { name: self.name, vertices, normals, triangles, colour: self.colour }
+        Surface {
+            name: self.name,
+            vertices,
+            normals,
+            rest: Arc::clone(&self.skin.rest),
+            colour: self.colour,
+            material: self.lattice.form().material.name.clone(),
+        }
     }
 
     fn memory_bytes(&self) -> u64 {

@@ -9,11 +9,13 @@
 //! the lattice however that is deformed.
 
 use std::ops::Range;
+use std::sync::Arc;
 
 use nalgebra::{Matrix3, Point3, Vector3};
 
 use super::lattice::{CORNERS, Form, Lattice};
 use crate::sim::frames::Aabb;
+use crate::sim::world::RestSurface;
 
 /// Distance of neighbouring samples where instruments touch, m, at most: jaws are 1.8 mm wide and more. More samples
 /// than nodes only say the same again.
@@ -94,8 +96,8 @@ impl Samples {
 #[derive(Debug, Clone)]
 pub struct Skin {
     pub(super) vertices: Vec<MaterialPoint>,
-    /// Counter-clockwise from outside.
-    pub(super) triangles: Vec<[u32; 3]>,
+    /// The vertices before the body was deformed, and the triangles between them.
+    pub(super) rest: Arc<RestSurface>,
     /// Where instruments and what moves freely touch it.
     pub(super) fine: Samples,
     /// Where what stands still touches it, but near its edges: the vertices.
@@ -130,16 +132,19 @@ impl Skin {
             }
         }
         let triangles = quads.iter().flat_map(|[a, b, c, d]| [[*a, *b, *c], [*a, *c, *d]]);
-        let triangles = triangles.collect();
+        let rest = RestSurface {
+            vertices: contour.vertices.iter().map(|vertex| vertex.cast()).collect(),
+            triangles: triangles.collect(),
+        };
         let (fine, coarse) = (Samples::new(samples), Samples::new(vertices.clone()));
-        Self { vertices, triangles, fine, coarse, spacing: spacing as f32 }
+        Self { vertices, rest: Arc::new(rest), fine, coarse, spacing: spacing as f32 }
     }
 
     /// Where its vertices are, m, with their normals.
     pub fn surface(&self, lattice: &Lattice) -> (Vec<Point3<f64>>, Vec<Vector3<f64>>) {
         let points: Vec<_> = self.vertices.iter().map(|place| lattice.point(place)).collect();
         let mut normals = vec![Vector3::zeros(); points.len()];
-        for [a, b, c] in self.triangles.iter().map(|each| each.map(|vertex| vertex as usize)) {
+        for [a, b, c] in self.rest.triangles.iter().map(|each| each.map(|vertex| vertex as usize)) {
             // Twice the area as its length: large triangles count more.
             let normal = (points[b] - points[a]).cross(&(points[c] - points[a]));
             for vertex in [a, b, c] {

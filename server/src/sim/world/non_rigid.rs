@@ -1,6 +1,7 @@
 //! Bodies of another kind than rigid: what the world, the renderer and snapshots must know of them.
 
 use std::any::Any;
+use std::sync::Arc;
 
 use nalgebra::{Point3, Vector3};
 
@@ -50,10 +51,21 @@ pub struct Surface {
     pub vertices: Vec<Point3<f64>>,
     /// Their unit normals.
     pub normals: Vec<Vector3<f64>>,
-    /// Triangles, which index both; counter-clockwise from outside.
-    pub triangles: Vec<[u32; 3]>,
-    /// Colour: red, green, blue, 0 to 1.
+    /// The same before anything deformed it.
+    pub rest: Arc<RestSurface>,
+    /// Colour: red, green, blue, as pictures store it, 0 to 1.
     pub colour: [f32; 3],
+    /// Its row of `assets/materials.csv`, which has its gloss. One that is not there shines like foam.
+    pub material: String,
+}
+
+/// The skin of a body at rest, in the body's frame. It does not change while the body moves.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct RestSurface {
+    /// Vertices, m; as many as the skin has now.
+    pub vertices: Vec<Point3<f32>>,
+    /// Triangles, which index vertices and normals; counter-clockwise from outside.
+    pub triangles: Vec<[u32; 3]>,
 }
 
 impl World {

@@ -8,6 +8,7 @@ use trocar_proto::{Code, Options, Rejection};
 
 use super::proprioception::Proprioception;
 use super::relative;
+use crate::render::Look;
 use crate::robots::ArmModel;
 use crate::sim::frames::Aabb;
 use crate::sim::grasp::GraspMode;
@@ -199,7 +200,7 @@ pub(crate) fn observes_numbers(options: &Options) -> bool {
 
 /// What a task knows, with the options that all tasks of its kind have: `terminate` where there is a goal, and
 /// what observations may have besides the state where there is `observation`: `image_size`, `camera` and where a
-/// placed camera is.
+/// placed camera is; and `look`.
 pub(crate) fn with_common(mut known: Vec<OptionSpec>) -> Vec<OptionSpec> {
     let has = |name: &str| known.iter().any(|option| option.name == name);
     let (has_goal, grasps) = (has("reward"), has("grasp"));
@@ -259,15 +260,32 @@ pub(crate) fn with_common(mut known: Vec<OptionSpec>) -> Vec<OptionSpec> {
             default: OptionValue::Number(45.0),
             allowed: Allowed::Range { min: 1.0, max: 150.0 },
         },
+        look(),
     ]);
     known
 }
 
+/// `look`: in what light there are pictures.
+fn look() -> OptionSpec {
+    OptionSpec::choice(
+        "look",
+        "In what light pictures are drawn. bench: under a theatre's lamps; cavity: as in a body, from a lamp at \
+         the endoscope, and dark elsewhere.",
+        &Look::NAMES,
+    )
+}
+
+/// The look that resolved options ask for.
+pub(crate) fn look_of(options: &Options) -> Look {
+    if options.text("look") == Some("cavity") { Look::Cavity } else { Look::Bench }
+}
+
 /// The options of pictures on demand: those of observed ones with defaults for people, of which both colour
-/// and depth can be had.
+/// and depth can be had. Their look is the environment's.
 pub(crate) fn of_views() -> Vec<OptionSpec> {
     let kinds = [ImageKind::Rgb, ImageKind::Depth].map(|kind| kind.name().to_string());
     let mut known = with_common(vec![observation()]);
+    known.retain(|option| option.name != "look");
     for option in &mut known {
         match option.name.as_str() {
             "observation" => {

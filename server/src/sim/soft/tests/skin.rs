@@ -35,14 +35,14 @@ fn the_skin_of_a_box_is_the_box_where_its_lattice_is() {
     let bounds = Aabb { min: -half, max: half };
     let form = Form::carved(&bounds, 4e-3, fat(), box_distance(&half)).unwrap();
     let skin = Skin::new(&form, &bounds, 2e-3, box_distance(&half));
-    assert!(is_closed(&skin.triangles));
+    assert!(is_closed(&skin.rest.triangles));
     let there = frames::pose([0.5, 0.1, 0.2], [0.2, 0.3, -1.0]);
     let lattice = Lattice::new(Arc::new(form), &there);
     let (points, normals) = skin.surface(&lattice);
     let distance = box_distance(&half);
     let back = |point: &Point3<f64>| there.inverse() * point;
     assert!(points.iter().all(|point| distance(&back(point)).abs() < 1e-7));
-    let enclosed = volume(&points, &skin.triangles);
+    let enclosed = volume(&points, &skin.rest.triangles);
     assert!((enclosed / (8.0 * half.x * half.y * half.z) - 1.0).abs() < 1e-4, "{enclosed}");
     for (point, normal) in points.iter().zip(&normals) {
         assert!(distance(&back(&(point + normal * 1e-3))) > 5e-4);
@@ -61,7 +61,7 @@ fn the_skin_of_a_ball_is_smooth_and_follows_what_the_lattice_does() {
     let ball = |point: &Point3<f64>| point.coords.norm() - radius;
     let form = Form::carved(&bounds, 3e-3, fat(), ball).unwrap();
     let skin = Skin::new(&form, &bounds, 2e-3, ball);
-    assert!(is_closed(&skin.triangles));
+    assert!(is_closed(&skin.rest.triangles));
     let mut lattice = Lattice::new(Arc::new(form), &frames::pose([0.0; 3], [0.0; 3]));
     let (points, normals) = skin.surface(&lattice);
     for (point, normal) in points.iter().zip(&normals) {
