@@ -6,12 +6,13 @@ import json
 import math
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
-from trocar.dvrk import LiveEnv
+from trocar.dvrk import LiveEnv, World
 from trocar.dvrk.deploy import Limits, Policy, Runner, Task, live, load
 from trocar.dvrk.deploy.__main__ import main
 from trocar.dvrk.deploy.action import Actions, Aim
@@ -23,7 +24,8 @@ from trocar.dvrk.deploy.geometry import (
     rotation_vector,
 )
 from trocar.dvrk.deploy.observation import Layout, Reading
-from trocar.dvrk.deploy.robot import LiveRobot
+from trocar.dvrk.deploy.paired import difference
+from trocar.dvrk.deploy.robot import LiveRobot, named
 from trocar.dvrk.deploy.sources import Function
 from trocar.errors import InvalidOption, InvalidRequest, Unsupported
 
@@ -411,13 +413,43 @@ def test_the_command_runs_a_policy_of_the_program(
 ) -> None:
     """NeedleReach is solved, in two episodes, and told in JSON and in a table."""
     arguments = ["NeedleReach", "--server", server, "--episodes", "2", "--seeds", "5", "--json"]
-    assert main([*arguments, "--steps", "25", "--log", str(tmp_path)]) == 0
+    assert main([*arguments, "--steps", "25", "--log", str(tmp_path), "--paired"]) == 0
     told = capsys.readouterr()
     rows = [json.loads(line) for line in told.out.splitlines()]
     assert [row["seed"] for row in rows] == [5, 6]
     assert {row["outcome"] for row in rows} == {"success"}
     assert all(row["distance"] < 0.005 and Path(row["path"]).exists() for row in rows)
     assert "2 of 2 succeeded" in told.err
+    assert "2 of 2 succeed in the environment; deployed +0.0 points" in told.err
+
+
+def test_paired_episodes_count_where_they_end_differently() -> None:
+    mean, low, high = difference([True, False, True, True], [True, True, True, False])
+    assert mean == 0.0
+    assert high == pytest.approx(100.0 * 1.96 * math.sqrt(0.5 / 4))
+    assert low == -high
+    assert difference([True] * 9 + [False], [True] * 10)[0] == pytest.approx(-10.0)
+
+
+def test_a_robot_is_made_by_a_function_of_the_task(
+    server: str, pick: Task, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A world is driven as a live world is; a robot without the task's arms is refused."""
+    made: list[Any] = []
+
+    def world(task: Task) -> World:
+        made.append(World(task.spec.id, server=server, homing="in_place"))
+        return made[0]  # type: ignore[no-any-return]
+
+    monkeypatch.setattr("trocar.dvrk.deploy.paired.world", world, raising=False)
+    robot = named("trocar.dvrk.deploy.paired:world", pick, {}, server, None)
+    assert isinstance(robot, LiveRobot)
+    assert run(pick, robot).outcome == "failure"
+    robot.close()
+    none = SimpleNamespace(arms={})
+    monkeypatch.setattr("trocar.dvrk.deploy.paired.world", lambda _: none)
+    with pytest.raises(InvalidRequest, match="it has no arm PSM1"):
+        named("trocar.dvrk.deploy.paired:world", pick, {}, server, None)
 
 
 def test_readings_are_laid_out_by_name(pick: Task) -> None:

@@ -13,15 +13,19 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from trocar.dvrk.__main__ import speed
 from trocar.dvrk.deploy import policy as policies
 from trocar.dvrk.deploy import robot as robots
 from trocar.dvrk.deploy.geometry import Pose
 from trocar.dvrk.deploy.limits import Limits
 from trocar.dvrk.deploy.observation import Layout
+from trocar.dvrk.deploy.paired import difference, played
+from trocar.dvrk.deploy.pictures import Colour
 from trocar.dvrk.deploy.plot import plot
 from trocar.dvrk.deploy.runner import Episode, Runner
-from trocar.dvrk.deploy.sources import Function, Topics
+from trocar.dvrk.deploy.sources import Function, Pictures, Source, Topics
 from trocar.dvrk.deploy.task import Task
 from trocar.errors import InvalidOption, LaunchError, TrocarError, refuse
 
@@ -74,7 +78,21 @@ def parser() -> argparse.ArgumentParser:
         "--poses",
         default="topics",
         metavar="SOURCE",
-        help="where objects are: topics: <object>/measured_cp; or module:function (%(default)s)",
+        help="where objects are: topics: <object>/measured_cp; pictures: the endoscope's, by "
+        "colour; or module:function (%(default)s)",
+    )
+    parser.add_argument(
+        "--pictures",
+        metavar="MODULE:FUNCTION",
+        help="where pictures come from: a function that returns the left one, the right one, their "
+        "stamp, and the camera's Pose in the scene (the live world's)",
+    )
+    parser.add_argument(
+        "--colour",
+        action="append",
+        default=[],
+        metavar="NAME=R,G,B",
+        help="the colour of target, or of an object, 0 to 255 (those of Trocar's pictures)",
     )
     parser.add_argument("--goal", type=numbers, metavar="X,Y,Z", help="the goal (a simulator's)")
     parser.add_argument("--episodes", type=int, default=1, help="how many (%(default)s)")
@@ -101,6 +119,11 @@ def parser() -> argparse.ArgumentParser:
         "--log", type=Path, metavar="FOLDER", help="write a file of each episode there"
     )
     parser.add_argument("--plot", action="store_true", help="draw each file of --log")
+    parser.add_argument(
+        "--paired",
+        action="store_true",
+        help="play the same seeds in the task's environment, too, and compare",
+    )
     parser.add_argument("--json", action="store_true", help="one JSON object an episode, on stdout")
     return parser
 
@@ -146,6 +169,24 @@ def frames(given: Sequence[str]) -> dict[str, Pose]:
     return found
 
 
+def colours(given: Sequence[str]) -> dict[str, Colour]:
+    """Colours of things."""
+    found = {}
+    for assignment in given:
+        name, _, value = assignment.partition("=")
+        try:
+            red, green, blue = numbers(value)
+        except ValueError:
+            allowed = "NAME=R,G,B was expected, three numbers from 0 to 255"
+            raise refuse(InvalidOption, "--colour", assignment, allowed) from None
+        found[name] = Colour((red, green, blue))
+    return found
+
+
+COLOURS = {"target": Colour((214.0, 31.0, 33.0)), "block": Colour((29.0, 106.0, 207.0))}
+"""Colours of things in Trocar's pictures."""
+
+
 def made(given: argparse.Namespace, told: Any) -> Runner:
     """The runner that a command line asks for."""
     policy = policies.load(given.policy)
@@ -161,8 +202,14 @@ def made(given: argparse.Namespace, told: Any) -> Runner:
     layout = Layout(task)
     robot = robots.named(given.robot, task, frames(given.frame), given.server, given.speed)
     try:
+        source: Source
         if given.poses == "topics":
-            source: Any = Topics(robot, layout, given.goal)
+            source = Topics(robot, layout, given.goal)
+        elif given.poses == "pictures":
+            call = policies.function(given.pictures, "--pictures") if given.pictures else None
+            goal = robot.goal if given.goal is None else lambda: np.array(given.goal)
+            found = COLOURS | colours(given.colour)
+            source = Pictures(call or robot.pictures, layout, found, goal)
         else:
             call = policies.function(given.poses, "--poses")
             source = Function(call, task, layout, given.goal)
@@ -197,6 +244,22 @@ def table(episodes: Sequence[Episode]) -> str:
     return "\n".join(line.rstrip() for line in lines)
 
 
+def compared(runner: Runner, episodes: Sequence[Episode], server: str | None) -> str:
+    """How the same episodes end in the environment."""
+    deployed = [episode.outcome == "success" for episode in episodes]
+    seeds = [episode.seed for episode in episodes]
+    own = list(played(runner.task, runner.policy, seeds, server))
+    mean, low, high = difference(deployed, own)
+    lost = [
+        seed for seed, one, other in zip(seeds, deployed, own, strict=True) if other and not one
+    ]
+    words = (
+        f"{sum(own)} of {len(own)} succeed in the environment; deployed {mean:+.1f} points "
+        f"({low:+.1f} to {high:+.1f}, 95 %)"
+    )
+    return f"{words}; lost: {', '.join(map(str, lost))}" if lost else words
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """Runs the episodes; the exit status."""
     given = parser().parse_args(arguments)
@@ -229,6 +292,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if is_shown:
         print("\r\x1b[K", end="", file=sys.stderr)
     print(table(episodes), file=sys.stderr)
+    if given.paired and episodes:
+        print(compared(runner, episodes, given.server), file=sys.stderr)
     stopped = any(episode.outcome == "stopped" for episode in episodes)
     return int(stopped or len(episodes) < given.episodes)
 

@@ -83,6 +83,14 @@ class Robot:
         """The target's image point and its stamp, where the robot is a simulator that knows it."""
         return None
 
+    def pictures(self) -> tuple[Any, Any, float, Pose]:
+        """Pictures of the left lens and of the right one, their stamp, and the camera in the scene.
+
+        Raises:
+            trocar.errors.Unsupported: This robot has none.
+        """
+        raise Unsupported("this robot has no pictures: say by --pictures where they come from")
+
     def is_success(self) -> bool | None:
         """Whether the task is done, where the robot is a simulator that knows it."""
         return None
@@ -121,6 +129,16 @@ class LiveRobot(Robot):
         is_seen, *point = observation[self._image]
         return (np.array(point) if is_seen else None), self.world.now()
 
+    def pictures(self) -> tuple[Any, Any, float, Pose]:
+        """Drawn now: of both lenses, or for the endoscope's own tasks from between them."""
+        picture = self.world.live.render()
+        pose, _ = self.world.live.pose("ECM", "local/measured_cp")
+        camera = self._task.bases["ECM"] @ Pose.of_numbers(pose)
+        left, right = picture, picture
+        if not self._task.moves_camera:
+            left, right = np.split(picture, 2)
+        return left, right, self.now(), camera
+
     def is_success(self) -> bool | None:
         """By the task."""
         return bool(self.world.live.world["is_success"])
@@ -130,6 +148,9 @@ class LiveRobot(Robot):
         use(None)
         self.world.close()
 
+
+PICTURE = (240, 240)
+"""Height and width of pictures, pixels: square, as those are that the endoscope's tasks tell of."""
 
 IMAGE = ("target in view", "target image x", "target image y")
 
@@ -142,12 +163,14 @@ def live(task: Task, *, server: str | None = None, speed: float | None = None) -
         server: Name of the server; ``None`` for ``$TROCAR_SERVER``, else a private one.
         speed: How many times as fast as life; ``None`` for lock-step.
     """
+    view = {"camera": "endoscope", "image_size": PICTURE}
     world = World(
         task.spec.id,
         server=server,
         speed=speed,
         options=task.options,
         homing="in_place",
+        view=view if task.moves_camera else view | {"camera": "stereo"},
     )
     return LiveRobot(world, task)
 
@@ -179,7 +202,7 @@ def installed(task: Task, frames: Mapping[str, Pose] | None = None) -> Robot:
 def named(
     name: str, task: Task, frames: Mapping[str, Pose], server: str | None, speed: float | None
 ) -> Any:
-    """``live``, ``installed``, or what ``module:function`` makes of a task.
+    """``live``, ``installed``, or what ``module:function`` makes of a task: a robot, or a world.
 
     Raises:
         trocar.errors.InvalidRequest: It is none of these, or has not all arms of the task.
@@ -192,6 +215,8 @@ def named(
         allowed = "allowed are live, installed, and module:function"
         raise refuse(InvalidRequest, "robot", name, allowed)
     robot = function(name, "robot")(task)
+    if isinstance(robot, World):
+        robot = LiveRobot(robot, task)
     missing = [arm for arm in task.arms if arm not in robot.arms]
     if missing:
         allowed = f"it has no arm {missing[0]}; {task.spec.id} moves {', '.join(task.arms)}"

@@ -11,7 +11,9 @@ import numpy as np
 from trocar.dvrk.deploy.geometry import Numbers, Pose
 from trocar.dvrk.deploy.limits import Stopped
 from trocar.dvrk.deploy.observation import Layout, Reading
+from trocar.dvrk.deploy.pictures import Colour, Lens, find, locate
 from trocar.dvrk.deploy.task import Task
+from trocar.errors import InvalidOption, refuse
 
 
 class Source(Protocol):
@@ -84,6 +86,58 @@ class Function:
             reading.stamps["target image"] = float(stamp)
         goal = told.get("goal")
         reading.goal = self._goal if goal is None else np.array(goal, np.float64)
+
+
+class Pictures:
+    """The endoscope's pictures: the target's image point, and objects by both lenses.
+
+    An object's pose has its position alone: it is taken to lie as its frame does, not turned. What
+    is not seen keeps its latest stamp, so that the watchdog tells.
+
+    Args:
+        call: Pictures of the left lens and, where objects are needed, of the right one, each uint8
+            (H, W, 3); the stamp (s); and the camera between the lenses, in the scene.
+        layout: What is needed.
+        colours: Of ``target`` and of objects.
+        goal: Where the goal is from.
+        lens: The endoscope.
+
+    Raises:
+        trocar.errors.InvalidOption: Something that is needed has no colour.
+    """
+
+    def __init__(
+        self,
+        call: Callable[[], tuple[Any, Any, float, Pose]],
+        layout: Layout,
+        colours: Mapping[str, Colour],
+        goal: Callable[[], Numbers | None],
+        lens: Lens | None = None,
+    ) -> None:
+        needed = [*layout.objects, *(["target"] if layout.needs_image else [])]
+        for name in needed:
+            if name not in colours:
+                allowed = f"expected the colour of {name}: --colour {name}=R,G,B"
+                raise refuse(InvalidOption, "--colour", sorted(colours), allowed)
+        self._call, self._layout, self._colours = call, layout, dict(colours)
+        self._lens, self._goal = lens or Lens(), goal
+        self._latest: dict[str, tuple[Pose, float]] = {}
+
+    def read(self, reading: Reading) -> None:
+        """Takes pictures and looks at them."""
+        left, right, stamp, camera = self._call()
+        if self._layout.needs_image:
+            reading.image = find(left, self._colours["target"])
+            reading.stamps["target image"] = stamp
+        for name in self._layout.objects:
+            place = locate(left, right, self._colours[name], self._lens, camera)
+            if place is not None:
+                self._latest[name] = (Pose(np.eye(3), place), stamp)
+            if name not in self._latest:
+                raise Stopped(f"{name} is missing: its colour is not in both pictures")
+            pose, reading.stamps[f"{name} in pictures"] = self._latest[name]
+            reading.objects[name] = pose
+        reading.goal = self._goal()
 
 
 def checked_goal(goal: Numbers | None, task: Task) -> Numbers | None:
