@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 from types import SimpleNamespace
@@ -12,8 +13,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from trocar.dvrk import LiveEnv, World
-from trocar.dvrk.deploy import Limits, Policy, Runner, Task, live, load
+from trocar import dvrk
+from trocar.dvrk import LiveEnv, World, arms, kdl
+from trocar.dvrk.deploy import Limits, Policy, Runner, Task, installed, live, load
 from trocar.dvrk.deploy.__main__ import main
 from trocar.dvrk.deploy.action import Actions, Aim
 from trocar.dvrk.deploy.geometry import (
@@ -26,7 +28,7 @@ from trocar.dvrk.deploy.geometry import (
 from trocar.dvrk.deploy.observation import Layout, Reading
 from trocar.dvrk.deploy.paired import difference
 from trocar.dvrk.deploy.robot import LiveRobot, named
-from trocar.dvrk.deploy.sources import Function
+from trocar.dvrk.deploy.sources import Function, Topics
 from trocar.errors import InvalidOption, InvalidRequest, Unsupported
 
 
@@ -450,6 +452,48 @@ def test_a_robot_is_made_by_a_function_of_the_task(
     monkeypatch.setattr("trocar.dvrk.deploy.paired.world", lambda _: none)
     with pytest.raises(InvalidRequest, match="it has no arm PSM1"):
         named("trocar.dvrk.deploy.paired:world", pick, {}, server, None)
+
+
+def test_the_packages_that_are_installed_reach_the_arms(
+    server: str, pick: Task, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As on a robot: by what scripts import as ``crtk``, ``dvrk`` and ``PyKDL``, and no more."""
+    world = World("NeedlePick-v0", server=server, homing="in_place", seed=3)
+    dvrk.use(world)
+    names = {"crtk": dvrk.crtk, "dvrk": arms, "PyKDL": kdl}
+    for name, module in names.items():
+        monkeypatch.setitem(sys.modules, name, module)
+    robot = installed(pick, pick.bases)
+    goal = [0.55, 0.0, 0.71]
+    source = Topics(robot, Layout(pick), goal)
+    before = robot.arms["PSM1"].measured_cp()[0].p
+    try:
+        episode = run(pick, robot, lambda _: [1.0, 0.0, 0.0, 0.0, -1.0], source=source)
+        moved = robot.arms["PSM1"].measured_cp()[0].p - before
+    finally:
+        dvrk.use(None)
+        world.close()
+    # Nothing but what was measured tells whether the goal is reached.
+    assert episode.outcome == "failure"
+    assert moved.Norm() == pytest.approx(0.04, abs=1e-4)
+    monkeypatch.setitem(sys.modules, "PyKDL", None)
+    with pytest.raises(Unsupported, match="PyKDL is missing"):
+        installed(pick)
+
+
+def test_a_policy_that_fails_leaves_an_arm_that_holds_and_a_file(
+    pick: Task, robot: LiveRobot, tmp_path: Path
+) -> None:
+    def fails(seen: Any, _: int) -> Any:
+        raise ZeroDivisionError(f"{len(seen)} things")
+
+    runner = Runner(pick, Policy("fails", fails), robot, enables=True)
+    with pytest.raises(ZeroDivisionError):
+        runner.run(3, tmp_path)
+    assert_holds(robot)
+    with np.load(tmp_path / "NeedlePick-v0_3.npz") as file:
+        about = json.loads(str(file["about"]))
+    assert (about["outcome"], about["why"]) == ("stopped", "ZeroDivisionError: 3 things")
 
 
 def test_readings_are_laid_out_by_name(pick: Task) -> None:

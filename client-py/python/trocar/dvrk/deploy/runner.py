@@ -101,8 +101,8 @@ class Runner:
             outcome = "dry run" if self._is_dry else self._judged(last)
         except Stopped as error:
             why = str(error)
-        except KeyboardInterrupt:
-            why = "interrupted by a person"
+        except BaseException as error:
+            why = f"{type(error).__name__}: {error}"
             raise
         finally:
             self._hold()

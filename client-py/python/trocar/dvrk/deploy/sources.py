@@ -95,8 +95,9 @@ class Pictures:
     is not seen keeps its latest stamp, so that the watchdog tells.
 
     Args:
-        call: Pictures of the left lens and, where objects are needed, of the right one, each uint8
-            (H, W, 3); the stamp (s); and the camera between the lenses, in the scene.
+        call: Takes pictures: of the left lens and of the right one, each uint8 (H, W, 3); their
+            stamp (s); and the camera between the lenses, in the scene. Where only ``target`` is
+            needed, the second and the last may be ``None``.
         layout: What is needed.
         colours: Of ``target`` and of objects.
         goal: Where the goal is from.
