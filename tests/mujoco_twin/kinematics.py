@@ -7,12 +7,12 @@ import numpy as np
 
 from mujoco_twin.model import JOINTS, Numbers
 
-WRIST_FROM_LINK = np.array([0.5, -0.5, 0.5, 0.5])
-"""dVRK's wrist frame in the link of the wrist's yaw: z towards the tip; quaternion w, x, y, z."""
-
 ITERATIONS = 30
 CLOSE = 1e-10
 """Most steps of Newton's method, and the error at which it ends, m and rad."""
+
+DAMPING = 1e-12 * np.eye(6)
+"""Keeps the step finite where a joint is open, as of a shaft whose end is at the remote centre."""
 
 LONGEST = 0.2
 """Longest step of a joint, rad or m: far from the goal the method would leap."""
@@ -28,11 +28,12 @@ class Pose:
     @classmethod
     def of(cls, values: Numbers) -> Pose:
         """From seven numbers: x, y, z, then x, y, z, w of the quaternion, as ROS has them."""
-        return cls(values[:3], np.roll(values[3:7], 1))
+        return cls(values[:3], values[[6, 3, 4, 5]])
 
     def numbers(self) -> list[float]:
         """The same the other way."""
-        return [*self.position.tolist(), *np.roll(self.quaternion, -1).tolist()]
+        w, *xyz = self.quaternion.tolist()
+        return [*self.position.tolist(), *xyz, w]
 
     def __matmul__(self, other: Pose) -> Pose:
         position, quaternion = np.empty(3), np.empty(4)
@@ -67,6 +68,10 @@ def rotate(quaternion: Numbers, vector: Numbers) -> Numbers:
     return turned
 
 
+LINK_FROM_WRIST = Pose(np.zeros(3), np.array([0.5, -0.5, 0.5, 0.5]))
+"""The wrist frame of dVRK on the link of the wrist's yaw: its z axis points to the tip."""
+
+
 class Kinematics:
     """Where the wrist is for joints, and the other way round: in the frame of the remote centre."""
 
@@ -81,6 +86,8 @@ class Kinematics:
         centre = model.body("rcm").id
         self.world_from_rcm = Pose(self._data.xpos[centre], self._data.xquat[centre])
         self._rcm_from_world = self.world_from_rcm.inverse()
+        rotation = self._data.xmat[centre].reshape(3, 3).T
+        self._turn = np.kron(np.eye(2), rotation)
 
     def wrist(self, joints: Numbers) -> Pose:
         """The wrist for six joint positions (rad; index 2 m)."""
@@ -91,7 +98,7 @@ class Kinematics:
     def measured(self, data: mujoco.MjData) -> Pose:
         """The wrist in a state of the model."""
         world_from_link = Pose(data.xpos[self._link], data.xquat[self._link])
-        return self._rcm_from_world @ world_from_link @ Pose(np.zeros(3), WRIST_FROM_LINK)
+        return self._rcm_from_world @ world_from_link @ LINK_FROM_WRIST
 
     def inverse(self, wrist: Pose, near: Numbers) -> Numbers:
         """The joints near to others that bring the wrist to a pose, or as near as limits let it."""
@@ -104,8 +111,8 @@ class Kinematics:
                 break
             mujoco.mj_comPos(self._model, self._data)
             mujoco.mj_jacBody(self._model, self._data, jacobian[:3], jacobian[3:], self._link)
-            turned = [rotate(self.world_from_rcm.quaternion, part) for part in np.split(error, 2)]
-            step = np.linalg.lstsq(jacobian[:, self._dofs], np.ravel(turned), rcond=1e-6)[0]
+            own = self._turn @ jacobian[:, self._dofs]
+            step = own.T @ np.linalg.solve(own @ own.T + DAMPING, error)
             joints += step / max(np.abs(step).max() / LONGEST, 1.0)
             joints = np.clip(joints, *self.limits.T)
         return joints
