@@ -1,7 +1,8 @@
 """The numbers of contacts in the twin, each with its source.
 
-They were fixed before any policy or expert ran in the twin. *Manual* is MuJoCo's documentation,
-https://mujoco.readthedocs.io: the pages XML Reference, Computation and Modeling.
+They were fixed before any policy or expert ran in the twin, but for :data:`FINGER_TORSION`.
+*Manual* is MuJoCo's documentation, https://mujoco.readthedocs.io: the pages XML Reference,
+Computation and Modeling.
 """
 
 from __future__ import annotations
@@ -46,8 +47,8 @@ elliptic. MuJoCo Menagerie has 100 for feet (``unitree_a1/a1.xml``) and 10 for a
 CONDIM = 3
 """Friction along both tangents, none about the normal, none against rolling.
 
-Manual, on ``geom/condim``: torsional friction stands for an area where there is one point. Here a
-wire touches a jaw at both ends of a line, and boxes touch at the corners of an area.
+Manual, on ``geom/condim``: torsional friction stands for an area where there is one point. Boxes
+touch at the corners of an area, and a wire that lies does at both ends of its pieces.
 """
 
 SOLREF = (2.0 * TIMESTEP, 1.0)
@@ -74,4 +75,15 @@ FINGER_FRICTION = 1.0
 
 All else has the coefficient of its material in ``assets/materials.csv``. Where two of these meet,
 MuJoCo takes the greater. They are 1.0 for all that the scenes have.
+"""
+
+FINGER_CONDIM, FINGER_TORSION = 4, 3e-5
+"""What fingers touch besides has friction about the normal: at most TORSION · μ · N, N·m.
+
+A finger that is not parallel to a wire touches it at one point, and so does any flat finger the
+outside of an arc. Hertz has the area: of a wire of radius 0.5 mm that is bent to 20 mm, on a flat
+face, both of steel, under 1 N, the half axes are a = 90 µm and b = 9 µm. The pressure's mean lever
+is 3/8 a = 34 µm. Without this, such a grasp is a hinge about the line through both points.
+
+This number came after a policy was tried: README.md has what it did without it.
 """

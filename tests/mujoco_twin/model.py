@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import csv
 import functools
+import itertools
 import math
 import xml.etree.ElementTree as ET
 from dataclasses import dataclass
@@ -76,8 +77,15 @@ TRAY_WITH_GAUZE = (0.55, 0.0, 0.6781)
 BOARD = (0.55, 0.0, 0.6861)
 """Origins of what does not move, m (``tasks/tray.rs``, ``gauze.rs``, ``peg_board.rs``)."""
 
-ARM, THINGS = 2, 1
-"""Bits of the collision filter: all that meets is of the arm or one of the other things."""
+ARM, THINGS, COARSE, ARC = 2, 1, 4, 8
+"""Bits of the collision filter: the arm, other things, a needle for these, a needle for the arm."""
+
+PIECES = 48
+"""Pieces of a needle's arc where fingers meet it: bent by less than 4° from one to the next.
+
+The eight of its URDF are bent by 22° in the middle of the arc, where needles are grasped. There
+they keep jaws apart by 0.17 mm more than a wire that is bent evenly.
+"""
 
 
 @dataclass(frozen=True)
@@ -167,8 +175,10 @@ def add_inertial(link: ET.Element, body: ET.Element) -> None:
     add(body, "inertial", mass=mass.get("value"), pos=centre, fullinertia=full)
 
 
-def add_shapes(link: ET.Element, body: ET.Element, friction: float, **attributes: Any) -> None:
-    """Gives a body the collision shapes of a link, with a coefficient of friction."""
+def add_shapes(
+    link: ET.Element, body: ET.Element, friction: float, torsion: float = 0.0, **attributes: Any
+) -> None:
+    """Gives a body the collision shapes of a link, with coefficients of friction: 1, and m."""
     for collision in link.findall("collision"):
         shape = find(collision, "geometry")[0]
         if shape.tag == "box":
@@ -178,7 +188,7 @@ def add_shapes(link: ET.Element, body: ET.Element, friction: float, **attributes
         else:
             raise ValueError(f"collision shapes are boxes and capsules, not {shape.tag}")
         place = pose(collision.find("origin"))
-        only = {"friction": (friction, 0.0, 0.0), **attributes}
+        only = {"friction": (friction, torsion, 0.0), **attributes}
         add(body, "geom", type=shape.tag, size=size, **place, **only)
 
 
@@ -217,7 +227,8 @@ def build(task: str, friction: float | None = None, squeeze: float = SQUEEZE) ->
     geom = {"condim": contact.CONDIM, "solref": contact.SOLREF, "solimp": contact.SOLIMP}
     add(add(root, "default"), "geom", **geom)
     world = add(root, "worldbody")
-    scene, things = SCENES[task], {"contype": THINGS, "conaffinity": THINGS | ARM}
+    scene = SCENES[task]
+    things = {"contype": THINGS, "conaffinity": THINGS | ARM | COARSE}
     for name, origin in (("table", TABLE), *scene.static):
         body = add(world, "body", name=name, pos=origin)
         add_shapes(find(urdf(name), "link"), body, friction_of(name), **things)
@@ -225,12 +236,32 @@ def build(task: str, friction: float | None = None, squeeze: float = SQUEEZE) ->
         body = add(world, "body", name=name)
         add(body, "freejoint", name=name)
         add_inertial(find(urdf(of), "link"), body)
-        add_shapes(find(urdf(of), "link"), body, friction_of(of), **things)
+        if of == "needle":
+            coarse = {"contype": COARSE, "conaffinity": COARSE}
+            add_shapes(find(urdf(of), "link"), body, friction_of(of), **coarse)
+            add_arc(body, friction_of(of))
+        else:
+            add_shapes(find(urdf(of), "link"), body, friction_of(of), **things)
     fingers = contact.FINGER_FRICTION if friction is None else friction
     add_arm(root, world, fingers, squeeze * LEVER)
     model = mujoco.MjModel.from_xml_string(ET.tostring(root, encoding="unicode"))
     tune(model)
     return model
+
+
+def add_arc(body: ET.Element, friction: float) -> None:
+    """Gives a needle the shapes that fingers meet: its wire, bent evenly from end to end."""
+    mid_arc = next(j for j in urdf("needle").findall("joint") if j.get("name") == "mid_arc_frame")
+    radius = -numbers(find(mid_arc, "origin").get("xyz"))[0]
+    segments = urdf("needle").findall("link/collision")
+    wire = float(find(segments[0], "geometry/capsule").get("radius") or 0)
+    length = float(find(segments[0], "geometry/capsule").get("length") or 0)
+    half = len(segments) * math.asin(0.5 * length / radius)
+    angles = math.pi + np.linspace(-half, half, PIECES + 1)
+    ends = radius * np.array([np.cos(angles), np.sin(angles), 0.0 * angles]).T
+    met = {"contype": ARC, "conaffinity": ARM, "friction": (friction, 0.0, 0.0)}
+    for one, other in itertools.pairwise(ends):
+        add(body, "geom", type="capsule", size=wire, fromto=np.append(one, other), **met)
 
 
 def add_arm(root: ET.Element, world: ET.Element, friction: float, torque: float) -> None:
@@ -264,8 +295,10 @@ def add_arm(root: ET.Element, world: ET.Element, friction: float, torque: float)
         # Positive where the finger opens.
         turns = {"axis": (0, 0, sign), "range": FINGER, "armature": FINGER_INERTIA}
         add(finger, "joint", name=name, **turns)
-        # Its coefficient counts, whatever it touches.
-        add_shapes(links[f"{name}_link"], finger, friction, priority="1", **filtered)
+        # Its coefficients count, whatever it touches.
+        own = {"priority": 1, "condim": contact.FINGER_CONDIM}
+        torsion = friction * contact.FINGER_TORSION
+        add_shapes(links[f"{name}_link"], finger, friction, torsion, **own, **filtered)
         add(opening, "joint", joint=name, coef="1")
         add(aside, "joint", joint=name, coef=sign)
     for name, most in (("opening", torque), ("aside", ASIDE * torque)):
