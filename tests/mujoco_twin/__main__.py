@@ -6,6 +6,7 @@ import argparse
 import json
 import sys
 from collections.abc import Sequence
+from typing import Any
 
 from mujoco_twin.robot import TwinRobot
 from trocar.dvrk.deploy import Runner, Task, load
@@ -16,11 +17,15 @@ EXPERTS = {
 }
 """The experts of tasks."""
 
-ROWS: dict[str, dict[str, float]] = {
+GRASP = ("grasp", "grasp_distance")
+"""Options of what holds an object in Trocar."""
+
+ROWS: dict[str, dict[str, Any]] = {
     "clean": {},
     "pose error 1 mm": {"pose_error": 1e-3},
     "friction 0.3": {"friction": 0.3},
     "friction 0.5": {"friction": 0.5},
+    "arm errors": {"errors": True},
 }
 """What differs from row to row: arguments of :class:`TwinRobot`."""
 
@@ -38,7 +43,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     given = parser.parse_args(arguments)
     task_id = f"{given.task}-v0"
     policy = load(EXPERTS[given.task] if given.policy == "expert" else given.policy)
-    task = Task.open(task_id, **policy.options)
+    # Whatever it was trained with: here only friction holds.
+    options = {name: value for name, value in policy.options.items() if name not in GRASP}
+    task = Task.open(task_id, **options)
     for row in given.rows:
         robot = TwinRobot(task, **ROWS[row])
         runner = Runner(task, policy, robot, enables=True)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import copy
+
 import mujoco
 import numpy as np
 
@@ -76,6 +78,7 @@ class Kinematics:
     """Where the wrist is for joints, and the other way round: in the frame of the remote centre."""
 
     def __init__(self, model: mujoco.MjModel) -> None:
+        model = copy.deepcopy(model)
         self._model, self._data = model, mujoco.MjData(model)
         joints = [model.joint(name) for name in JOINTS]
         self._at = np.array([joint.qposadr[0] for joint in joints])
@@ -93,11 +96,7 @@ class Kinematics:
         """The wrist for six joint positions (rad; index 2 m)."""
         self._data.qpos[self._at] = joints
         mujoco.mj_kinematics(self._model, self._data)
-        return self.measured(self._data)
-
-    def measured(self, data: mujoco.MjData) -> Pose:
-        """The wrist in a state of the model."""
-        world_from_link = Pose(data.xpos[self._link], data.xquat[self._link])
+        world_from_link = Pose(self._data.xpos[self._link], self._data.xquat[self._link])
         return self._rcm_from_world @ world_from_link @ LINK_FROM_WRIST
 
     def inverse(self, wrist: Pose, near: Numbers) -> Numbers:

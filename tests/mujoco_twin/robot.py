@@ -32,10 +32,16 @@ class TwinRobot(Robot):
         friction: Coefficient of friction of the jaws; ``None`` for that of ``contact.py``.
         pose_error: By how much the positions of objects that are told may be off along each axis,
             m. The error is drawn uniformly for each episode, and stays.
+        errors: Whether the arm has the errors of ``cables.py``, drawn for each episode.
     """
 
     def __init__(
-        self, task: Task, *, friction: float | None = None, pose_error: float = 0.0
+        self,
+        task: Task,
+        *,
+        friction: float | None = None,
+        pose_error: float = 0.0,
+        errors: bool = False,
     ) -> None:
         if not 0.0 <= pose_error < np.inf:
             raise ValueError(f"pose_error {pose_error!r}: allowed are numbers from 0 on")
@@ -49,14 +55,16 @@ class TwinRobot(Robot):
         *_, rcm = self._starts.describe(NAME)
         self._rcm = Pose.of(np.array(rcm))
         self._goal: Numbers = np.zeros(3)
-        self._pose_error, self._error = pose_error, np.zeros(3)
+        self._pose_error, self._error, self._errs = pose_error, np.zeros(3), errors
 
     def reset(self, seed: int) -> None:
         """Begins the episode that begins as the first one of a seed does."""
         self._starts.reset(seed)
         local, _ = self._starts.pose(NAME, "local/setpoint_cp")
         wrist = (self._rcm @ Pose.of(np.array(local))).numbers()
-        self.twin.begin(wrist, {name: self._starts.object(name) for name in self.twin.objects})
+        objects = {name: self._starts.object(name) for name in self.twin.objects}
+        errors = np.random.default_rng([seed, 1]) if self._errs else None
+        self.twin.begin(wrist, objects, errors=errors)
         self._goal = np.asarray(self._starts.observation()[2], np.float64)
         bound = self._pose_error
         self._error = np.random.default_rng(seed).uniform(-bound, bound, 3)

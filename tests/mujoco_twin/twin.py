@@ -10,6 +10,7 @@ import numpy as np
 
 from mujoco_twin import model as scenes
 from mujoco_twin.arm import TICK, Controller
+from mujoco_twin.cables import Cables, moved_base
 from mujoco_twin.contact import TIMESTEP
 from mujoco_twin.kinematics import Kinematics, Pose
 from mujoco_twin.model import FINGERS, JOINTS, SCENES, Numbers
@@ -63,15 +64,29 @@ class Twin:
         self._stamp = 0.0
         self._home = np.array([0.0, 0.0, 0.12, 0.0, 0.0, 0.0])
         self._controller = Controller(self._kinematics, self._home, self._tell)
+        self._cables: Cables | None = None
+        base = self.model.body("base")
+        self._base = Pose(base.pos, base.quat)
         self._place(self._home, {})
 
     # ---- Episodes ----
 
-    def begin(self, wrist: Sequence[float], objects: Mapping[str, Sequence[float]]) -> None:
+    def begin(
+        self,
+        wrist: Sequence[float],
+        objects: Mapping[str, Sequence[float]],
+        *,
+        errors: np.random.Generator | None = None,
+    ) -> None:
         """Begins an episode: the arm at a pose of the world, jaws closed, objects laid at rest.
 
         The arm keeps its operating state and its reference frame. Objects that are not named are
         taken away.
+
+        Args:
+            wrist: Where the arm is, by its encoders.
+            objects: Where objects are.
+            errors: What draws the errors of a real arm, see ``cables.py``; ``None`` for none.
 
         Raises:
             ValueError: There is no such object, or the arm does not reach the pose.
@@ -87,7 +102,11 @@ class Twin:
             raise ValueError(f"wrist {list(wrist)}: not within the joints' limits, {off} m off")
         self._controller.command("hold", (), (), "")
         self._controller.set_point = np.append(joints, 0.0)
-        self._place(joints, objects)
+        self._cables = None if errors is None else Cables(errors, joints)
+        base = self._base if errors is None else moved_base(errors, self._base)
+        self.model.body("base").pos[:] = base.position
+        self.model.body("base").quat[:] = base.quaternion
+        self._place(joints if self._cables is None else self._cables.links(), objects)
         for _ in range(SETTLING):
             self._step()
 
@@ -166,7 +185,14 @@ class Twin:
                 np.array([self.data.qvel[self._finger_dofs].sum()]),
                 self.now(),
             )
-        return self.data.qpos[self._at].copy(), self.data.qvel[self._dofs].copy(), self.now()
+        return self._measured(), self.data.qvel[self._dofs].copy(), self.now()
+
+    def _measured(self) -> Numbers:
+        """What the encoders say: they move along with what moves the links off their targets."""
+        links: Numbers = self.data.qpos[self._at].copy()
+        if self._cables is None:
+            return links
+        return self._cables.encoders[:6] + links - self._cables.links()
 
     def pose(self, arm: str, topic: str) -> tuple[list[float], float]:
         """A pose of the arm and its stamp: ``measured_cp``, ``setpoint_cp``, or below ``local``."""
@@ -174,7 +200,7 @@ class Twin:
         if topic.endswith("setpoint_cp"):
             wrist = self._kinematics.wrist(self._controller.set_point[:6])
         else:
-            wrist = self._kinematics.measured(self.data)
+            wrist = self._kinematics.wrist(self._measured())
         if not topic.startswith("local/"):
             wrist = self._controller.base @ wrist
         return wrist.numbers(), self.now()
@@ -226,8 +252,11 @@ class Twin:
 
     def _step(self) -> None:
         self._controller.tick()
-        self.data.ctrl[:6] = self._controller.set_point[:6]
-        self.data.ctrl[6:] = self._controller.set_point[6], 0.0
+        links, jaw = self._controller.set_point[:6], self._controller.set_point[6]
+        if self._cables is not None:
+            self._cables.advance(self._controller.set_point, TICK)
+            links, jaw = self._cables.links(), self._cables.encoders[6]
+        self.data.ctrl[:] = [*links, jaw, 0.0]
         mujoco.mj_step(self.model, self.data, nstep=STEPS)
         mujoco.mj_kinematics(self.model, self.data)
         self.ticks += 1
