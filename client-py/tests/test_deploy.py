@@ -184,6 +184,14 @@ def test_actions_ask_for_what_the_simulator_makes_of_them(
         env.close()
 
 
+def test_joints_of_the_endoscope_go_no_farther_than_a_step() -> None:
+    start = np.array([0.1, 0.2, 0.05, 0.0])
+    limits = Limits(step=0.001, turn=0.01)
+    goal = limits.confine_joints(start + np.array([0.5, -0.005, 0.2, -0.5]), start)
+    assert goal - start == pytest.approx([0.01, -0.005, 0.001, -0.01])
+    assert np.array_equal(Limits().confine_joints(start + 1.0, start), start + 1.0)
+
+
 def test_turns_and_angles_are_found_again() -> None:
     rng = np.random.default_rng(8)
     for _ in range(50):

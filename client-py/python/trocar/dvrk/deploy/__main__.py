@@ -248,7 +248,7 @@ def compared(runner: Runner, episodes: Sequence[Episode], server: str | None) ->
     """How the same episodes end in the environment."""
     deployed = [episode.outcome == "success" for episode in episodes]
     seeds = [episode.seed for episode in episodes]
-    own = list(played(runner.task, runner.policy, seeds, server))
+    own = played(runner.task, runner.policy, seeds, server)
     mean, low, high = difference(deployed, own)
     lost = [
         seed for seed, one, other in zip(seeds, deployed, own, strict=True) if other and not one

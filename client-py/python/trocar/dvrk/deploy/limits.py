@@ -25,8 +25,10 @@ class Limits:
         jump: Farthest that an object's pose may move from one step to the next, m. Farther: the
             arms hold until two readings agree.
         patience: How long poses may jump, and how long topics may take to begin, s.
-        step: Farthest that a wrist is sent in a step of the task, m; ``None``: as the action asks.
-        turn: Farthest that it is turned in a step, rad; ``None``: as the action asks.
+        step: Farthest that a wrist, or the ECM's insertion, is sent in a step of the task, m;
+            ``None``: as the action asks.
+        turn: Farthest that a wrist, or a joint of the ECM, is turned in a step, rad; ``None``: as
+            the action asks.
         held_up: How far from its set-point an arm counts as held up, m: increments then count from
             where it is measured to be.
         box: Where wrists may be sent, in the scene, m: x, y, z of the lower corner, then of the
@@ -67,6 +69,12 @@ class Limits:
         if angle <= self.turn:
             return Pose(target.rotation, position)
         return Pose(rotation_matrix(turn * (self.turn / angle)) @ start.rotation, position)
+
+    def confine_joints(self, target: Numbers, start: Numbers) -> Numbers:
+        """Joints of the ECM, rad and at index 2 m, no farther from the start than a step goes."""
+        turn, step = self.turn or np.inf, self.step or np.inf
+        most = np.array([turn, turn, step, turn])
+        return np.asarray(start + np.clip(target - start, -most, most))
 
 
 def outside(what: str, place: Numbers, box: Numbers) -> str:

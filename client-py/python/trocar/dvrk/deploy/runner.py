@@ -171,6 +171,8 @@ class Runner:
             if aim.wrist is not None and start.wrist is not None:
                 wrist = self.limits.confine(aim.wrist, start.wrist, self._box(name))
                 aim = Aim(wrist, aim.jaw)
+            elif aim.joints is not None and start.joints is not None:
+                aim = Aim(joints=self.limits.confine_joints(aim.joints, start.joints))
             aims[name] = (start, aim)
         return aims
 
