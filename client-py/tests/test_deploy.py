@@ -390,6 +390,21 @@ def test_a_goal_that_cannot_be_is_refused_before_the_arm_moves(
     assert_holds(robot)
 
 
+def test_jaws_that_point_elsewhere_are_refused_or_brought_to_the_start(
+    pick: Task, robot: LiveRobot
+) -> None:
+    arm, start = robot.arms["PSM1"], pick.starts["PSM1"]
+    stay: Any = lambda _: None  # noqa: E731
+    robot.reset = stay  # type: ignore[method-assign]
+    assert run(pick, robot).outcome == "failure"
+    leaning = start.moved(np.array([0.03, -0.03, 0.0]), np.array([0.5, 0.0, 0.0]))
+    assert arm.move_cp((pick.bases["PSM1"].inverse() @ leaning).frame(kdl)).wait()
+    assert "its jaws point 0.50 rad away" in run(pick, robot).why
+    assert run(pick, robot, to_start=True).outcome == "failure"
+    there = pick.bases["PSM1"] @ Pose.of_frame(arm.measured_cp()[0])
+    assert np.linalg.norm(there.position - start.position) < 1e-4
+
+
 def test_an_arm_without_power_is_not_driven(pick: Task, robot: LiveRobot) -> None:
     episode = run(pick, robot, enables=False)
     assert "PSM1 is not ENABLED" in episode.why

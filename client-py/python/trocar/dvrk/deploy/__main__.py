@@ -104,6 +104,11 @@ def parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--home", action="store_true", help="enable and home the arms first; live worlds always do"
     )
+    parser.add_argument(
+        "--to-start",
+        action="store_true",
+        help="move PSMs to where episodes begin first, by move_cp",
+    )
     limits = Limits()
     for flag, what, unit in LIMITS:
         default = getattr(limits, flag.replace("-", "_"))
@@ -221,6 +226,7 @@ def made(given: argparse.Namespace, told: Any) -> Runner:
             limits=limits,
             is_dry=given.dry_run,
             enables=given.home or given.robot == "live",
+            to_start=given.to_start,
             max_steps=given.steps,
             told=told,
         )

@@ -4,7 +4,8 @@ A runner needs of an arm what ``dvrk_python`` 2.4 gives it, and no more:
 
 - PSM: ``measured_cp``, ``setpoint_cp``, ``servo_cp``, ``jaw.measured_js``, ``jaw.servo_jp``;
 - ECM: ``measured_js``, ``setpoint_js``, ``servo_jp``, ``local.measured_cp``;
-- both: ``enable``, ``home``, ``is_enabled``, ``is_homed``, and ``hold`` where there is one.
+- both: ``move_cp`` and ``jaw.move_jp`` where they are moved to the start;
+- all: ``enable``, ``home``, ``is_enabled``, ``is_homed``, and ``hold`` where there is one.
 """
 
 from __future__ import annotations

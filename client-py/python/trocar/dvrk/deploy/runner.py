@@ -20,6 +20,9 @@ from trocar.dvrk.deploy.sources import Source, Topics, checked_goal, read
 from trocar.dvrk.deploy.task import Task
 from trocar.errors import InvalidAction
 
+LEAN = 0.2
+"""How far jaws may point elsewhere at the beginning than where the task's do, rad."""
+
 HOMING = 30.0
 """How long arms may take until they are enabled, and until they are homed, s."""
 
@@ -52,6 +55,8 @@ class Runner:
         limits: What keeps the arms safe.
         is_dry: Whether actions are computed and written down, and nothing is commanded.
         enables: Whether arms are enabled and homed; else they must be.
+        to_start: Whether PSMs are moved to where episodes begin; else they must be in the box, jaws
+            down.
         max_steps: Steps of an episode; ``None`` for the task's.
         told: What is called after each step, with words for people.
 
@@ -70,6 +75,7 @@ class Runner:
         limits: Limits | None = None,
         is_dry: bool = False,
         enables: bool = False,
+        to_start: bool = False,
         max_steps: int | None = None,
         told: Callable[[str], object] | None = None,
     ) -> None:
@@ -79,6 +85,7 @@ class Runner:
         self.layout, self._actions = Layout(task), Actions(task)
         self._source = source or Topics(robot, self.layout)
         self._is_dry, self._enables, self._told = is_dry, enables, told
+        self._to_start = to_start
         self._max_steps = max_steps or task.spec.max_steps
         self._set_points = max(1, round(task.spec.seconds_per_step * self.limits.rate))
         self._jaws: dict[str, float] = {}
@@ -120,18 +127,35 @@ class Runner:
                     raise Stopped(f"{name} is not enabled and homed after {HOMING:.0f} s")
             elif not self._is_dry:
                 self._check_state(name, arm)
+        if self._to_start and not self._is_dry:
+            self._go_to_start()
         first = self._wait_for_topics()
         goal = checked_goal(first.goal, self.task)
         if self.task.moves_camera:
             return
         for name, wrist in first.wrists.items():
             self._refuse(outside(f"{name}/measured_cp", wrist.position, self._box(name, 2e-3)))
+            along = float(wrist.rotation[:, 2] @ self.task.starts[name].rotation[:, 2])
+            lean = float(np.arccos(np.clip(along, -1.0, 1.0)))
+            if lean > LEAN:
+                raise Stopped(
+                    f"{name}/measured_cp: its jaws point {lean:.2f} rad away from where those of "
+                    f"{self.task.spec.id} begin, allowed are {LEAN}: turn them, or give --to-start"
+                )
         if goal is not None:
             boxes = [self._box(name) for name in self.task.arms]
             # Tips are as low as jaws are long below the lowest wrist.
             low = np.min([box[0] for box in boxes], axis=0) - [0.0, 0.0, 0.0112]
             high = np.max([box[1] for box in boxes], axis=0)
             self._refuse(outside("goal", goal, np.array([low, high])))
+
+    def _go_to_start(self) -> None:
+        """Moves PSMs to where episodes begin, jaws closed."""
+        for name, start in self.task.starts.items():
+            arm = self.robot.arms[name]
+            frame = (self.robot.frames[name].inverse() @ start).frame(self.robot.kdl)
+            if not arm.move_cp(frame).wait() or not arm.jaw.move_jp(np.zeros(1)).wait():
+                raise Stopped(f"{name} did not come to where episodes begin")
 
     def _play(self, log: Log) -> Reading:
         watchdog, jumps = Watchdog(self.limits.stale), JumpFilter(self.limits)

@@ -48,6 +48,8 @@ class Task:
     """Where the wrist of each PSM may go, in the scene, m: lower corner, then upper one."""
     lowest: Mapping[str, float]
     """The lowest height of the tip of each PSM's jaws, which point down, in the scene, m."""
+    starts: Mapping[str, Pose]
+    """Where episodes begin: the wrist of each PSM, in the scene."""
     reference: Pose
     """The ECM's camera with all joints at 0, in the frame of its remote centre."""
 
@@ -95,6 +97,10 @@ def _described(world: Any, options: Mapping[str, Any]) -> Task:
     if why:
         raise TrocarError(f"ECM, local/forward_kinematics: {why}")
     places = _places(world)
+    psms = [arm for arm in arms if arm != "ECM"]
+    starts = {
+        arm: bases[arm] @ Pose.of_numbers(world.pose(arm, "local/measured_cp")[0]) for arm in psms
+    }
     reach = {} if arms == ("ECM",) else _reach(world, arms)
     return Task(
         spec=spec,
@@ -105,6 +111,7 @@ def _described(world: Any, options: Mapping[str, Any]) -> Task:
         places=places,
         boxes={arm: box for arm, (box, _) in reach.items()},
         lowest={arm: lowest for arm, (_, lowest) in reach.items()},
+        starts=starts,
         reference=Pose.of_numbers(zeros),
     )
 
