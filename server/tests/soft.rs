@@ -9,7 +9,7 @@ use trocar_server::sim::random::Rng;
 use trocar_server::sim::soft::Friction;
 use trocar_server::sim::world::{Motion, Part, Shape, SoftId, World};
 
-use crate::soft_grasp::{posture, sheet_on_table};
+use crate::soft_grasp::{Sheet, posture, sheet_on_table};
 
 /// Height of the sheet's upper face, m.
 const TOP: f64 = 8e-3;
@@ -35,7 +35,7 @@ fn settle(world: &mut World) {
 
 /// The sheet at rest, and a forceps above it.
 fn prepared() -> (World, SoftId, Instrument) {
-    let (mut world, id) = sheet_on_table(5e3);
+    let (mut world, id) = sheet_on_table(&Sheet::FAT, 5e3);
     world.soft_mut(id).set_friction(Friction { smooth: 0.3, profiled: 0.8 });
     settle(&mut world);
     let above = at(TOP + 0.02, JAW_OPEN);
@@ -88,7 +88,7 @@ fn a_sheet_sleeps_until_jaws_come_near_and_again_after_they_have_left() {
 
 #[test]
 fn what_lies_on_a_sheet_sinks_into_it_and_falls_when_it_is_gone() {
-    let (mut world, id) = sheet_on_table(5e3);
+    let (mut world, id) = sheet_on_table(&Sheet::FAT, 5e3);
     let half = Vector3::repeat(5e-3);
     let cube = Part { body_from_part: Pose::identity(), shape: Shape::Cuboid(half) };
     let mass = 5e-3;

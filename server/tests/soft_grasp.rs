@@ -21,14 +21,39 @@ use trocar_server::sim::soft::{
 };
 use trocar_server::sim::world::{Motion, Part, Shape, SoftId, Solver, World};
 
-/// Half extents of the sheet, m.
-const HALF: Vector3<f64> = Vector3::new(0.03, 0.03, 4e-3);
+/// What lies on the table.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Sheet {
+    /// Its material in the table of materials.
+    material: &'static str,
+    /// Half extents, m.
+    half: Vector3<f64>,
+    /// Edge of an element, m.
+    spacing: f64,
+    /// Whether its edge at the least x is held.
+    is_held: bool,
+}
 
-/// Edge of an element, m.
-const SPACING: f64 = 4e-3;
+impl Sheet {
+    /// A sheet of fat that one edge holds.
+    pub(crate) const FAT: Self = Self {
+        material: "fat",
+        half: Vector3::new(0.03, 0.03, 4e-3),
+        spacing: 4e-3,
+        is_held: true,
+    };
+
+    /// A gauze swab that lies free.
+    const GAUZE: Self = Self {
+        material: "gauze",
+        half: Vector3::new(0.02, 0.0125, 1.25e-3),
+        spacing: 2.5e-3,
+        is_held: false,
+    };
+}
 
 /// Placements and moduli on which nothing was tuned.
-const SEEDS: Range<u64> = 50_000..50_200;
+const SEEDS: Range<u64> = 50_600..50_800;
 
 /// Speed of the fastest node beyond which held tissue is not at rest, m/s.
 const RESTING: f64 = 20e-3;
@@ -39,6 +64,7 @@ const SECOND: f64 = 240.0;
 /// How a trial goes.
 #[derive(Debug, Clone, Copy)]
 struct Trial {
+    sheet: Sheet,
     /// Young's modulus, Pa: from, to.
     modulus: [f64; 2],
     /// Where the jaws are put.
@@ -54,6 +80,7 @@ struct Trial {
 
 impl Trial {
     const USUAL: Self = Self {
+        sheet: Sheet::FAT,
         modulus: [3e3, 8e3],
         place: Place::EDGE,
         friction: 0.8,
@@ -98,7 +125,7 @@ struct Outcome {
 
 /// The sheet on its table, at rest, with this Young's modulus (Pa).
 fn scene(trial: &Trial, modulus: f64) -> (World, SoftId) {
-    let (mut world, id) = sheet_on_table(modulus);
+    let (mut world, id) = sheet_on_table(&trial.sheet, modulus);
     let friction = Friction { smooth: 0.3, profiled: trial.friction };
     world.soft_mut(id).set_friction(friction);
     while !world.at_rest() {
@@ -107,20 +134,23 @@ fn scene(trial: &Trial, modulus: f64) -> (World, SoftId) {
     (world, id)
 }
 
-/// A sheet of fat with this Young's modulus (Pa) that one edge holds, on a table, z = 0, before it settles.
-pub(crate) fn sheet_on_table(modulus: f64) -> (World, SoftId) {
-    let material = Material::named("fat").unwrap().with_modulus(modulus);
-    let bounds = Aabb { min: -HALF, max: HALF };
-    let mut form = Form::carved(&bounds, SPACING, material, box_distance(&HALF)).unwrap();
-    form.hold(|point| point.x < 1e-3 - HALF.x);
-    let skin = Skin::new(&form, &bounds, SPACING, box_distance(&HALF));
+/// A sheet with this Young's modulus (Pa) on a table, z = 0, before it settles.
+pub(crate) fn sheet_on_table(sheet: &Sheet, modulus: f64) -> (World, SoftId) {
+    let Sheet { half, spacing, .. } = *sheet;
+    let material = Material::named(sheet.material).unwrap().with_modulus(modulus);
+    let bounds = Aabb { min: -half, max: half };
+    let mut form = Form::carved(&bounds, spacing, material, box_distance(&half)).unwrap();
+    if sheet.is_held {
+        form.hold(|point| point.x < 1e-3 - half.x);
+    }
+    let skin = Skin::new(&form, &bounds, spacing, box_distance(&half));
     let mut world = World::new(Solver::LIGHT);
     let table = Part {
         body_from_part: Pose::translation(0.0, 0.0, -0.01),
         shape: Shape::Cuboid(Vector3::new(0.1, 0.1, 0.01)),
     };
     world.insert(Motion::Fixed, &Pose::identity(), 1.0, &[table]);
-    let at = Pose::translation(0.0, 0.0, HALF.z);
+    let at = Pose::translation(0.0, 0.0, half.z);
     let sheet = SoftBody::new("sheet", [0.93, 0.78, 0.42], Arc::new(form), Arc::new(skin), &at);
     let id = world.insert_soft(sheet);
     (world, id)
@@ -139,7 +169,8 @@ fn run(trial: &Trial, rng: &mut Rng) -> Outcome {
     let yaw = yaw + rng.uniform(-PI / 6.0, PI / 6.0);
     let [softest, stiffest] = trial.modulus;
     let (mut world, id) = scene(trial, rng.uniform(softest, stiffest));
-    let top = 2.0 * HALF.z;
+    let half_extents = trial.sheet.half;
+    let top = 2.0 * half_extents.z;
     let tip = |z: f64| Vector3::new(x, y, z);
     let above = posture(&tip(top + 5e-3), yaw, JAW_OPEN);
     let mut jaws = Instrument::with_jaws(&mut world, above, trial.squeeze, trial.jaws);
@@ -154,14 +185,14 @@ fn run(trial: &Trial, rng: &mut Rng) -> Outcome {
     go(&mut jaws, &mut world, posture(&low, yaw, JAW_OPEN), 0.4);
     go(&mut jaws, &mut world, posture(&low, yaw, JAW_CLOSED), 0.4);
     // The points of the sheet that are between the jaws now.
-    let held = places_between(&world, id, &jaws);
+    let held = places_between(&world, id, &jaws, &half_extents);
     let before = in_jaws(&world, id, &jaws, &held);
     let high = low + Vector3::new(0.0, 0.0, 0.02);
     go(&mut jaws, &mut world, posture(&high, yaw, JAW_CLOSED), 0.6);
     go(&mut jaws, &mut world, posture(&high, yaw, JAW_CLOSED), 1.0);
     let trembling = world.soft(id).lattice().fastest();
     let ultimate = world.soft(id).lattice().form().material().ultimate_strain;
-    let strained = world.soft(id).strained_beyond(ultimate.expect("fat has one"));
+    let strained = world.soft(id).strained_beyond(ultimate.unwrap_or(f64::INFINITY));
     for aside in [0.01, -0.01, 0.0] {
         let there = high + Vector3::new(0.0, aside, 0.0);
         go(&mut jaws, &mut world, posture(&there, yaw, JAW_CLOSED), 0.2);
@@ -173,20 +204,25 @@ fn run(trial: &Trial, rng: &mut Rng) -> Outcome {
         before.iter().zip(&after).map(|(before, after)| (after - before).norm()).collect();
     slips.sort_by(f64::total_cmp);
     let slip = slips.get(slips.len() / 2).copied().unwrap_or(f64::INFINITY);
-    let lifts = jaws.force_of(&world, id).z < -0.02;
+    let lifts = jaws.force_of(&world, id).z < -0.01;
     let is_held = lifts && jaws.fingers_on(&world, id) == 2;
     Outcome { is_held, slip, trembling, fastest, pressure, strained }
 }
 
 /// Points of the sheet's upper face in the volume between the fingers.
-fn places_between(world: &World, id: SoftId, jaws: &Instrument) -> Vec<MaterialPoint> {
+fn places_between(
+    world: &World,
+    id: SoftId,
+    jaws: &Instrument,
+    half: &Vector3<f64>,
+) -> Vec<MaterialPoint> {
     let lattice = world.soft(id).lattice();
     let wrist_from_world = jaws.posture().world_from_wrist.inverse();
     let steps = 60;
     let grid = (0..=steps * steps).map(|index| [index % (steps + 1), index / (steps + 1)]);
     let points = grid.map(|[i, j]| {
         let along = |step: i32| f64::from(step) / f64::from(steps) * 2.0 - 1.0;
-        Point3::new(along(i) * HALF.x, along(j) * HALF.y, HALF.z)
+        Point3::new(along(i) * half.x, along(j) * half.y, half.z)
     });
     let places = points.map(|point| MaterialPoint::of(lattice.form(), &point));
     let is_between = |place: &MaterialPoint| {
@@ -261,6 +297,14 @@ fn a_sheet_is_lifted_and_shaken_in_jaws_that_only_friction_holds_it_in() {
             assert!(held >= least, "{name}: {held}");
         }
     }
+    let gauze = Trial {
+        sheet: Sheet::GAUZE,
+        modulus: [5e3, 20e3],
+        place: Place { middle: [0.0, 0.0], half: [2e-3, 2e-3], yaw: 0.0 },
+        friction: 1.0,
+        depth: 1.5e-3,
+        ..usual
+    };
     let variants = [
         ("friction 0.4", Trial { friction: 0.4, ..usual }),
         ("3 kPa", Trial { modulus: [3e3; 2], ..usual }),
@@ -270,6 +314,8 @@ fn a_sheet_is_lifted_and_shaken_in_jaws_that_only_friction_holds_it_in() {
         ("in the middle", Trial { place: Place::MIDDLE, ..usual }),
         ("in the middle, friction 0.5", Trial { place: Place::MIDDLE, friction: 0.5, ..usual }),
         ("needle driver: smooth, friction 0.3", Trial { jaws: Jaws::NEEDLE_DRIVER, ..usual }),
+        ("gauze", gauze),
+        ("gauze, needle driver", Trial { jaws: Jaws::NEEDLE_DRIVER, ..gauze }),
     ];
     for (name, trial) in variants {
         series(name, &trial, 2000..2040);

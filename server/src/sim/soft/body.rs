@@ -123,6 +123,7 @@ impl SoftBody {
         let reach = (REACH + self.lattice.fastest() * seconds) as f32;
         let Self { lattice, skin, friction, contacts, .. } = self;
         contacts.begin(lattice, skin, friction, proxies, reach);
+        lattice.begin();
         let mut left = seconds;
         while left > LEAST_STEP {
             let dt = lattice.find_forces(1.0, left);
@@ -178,8 +179,8 @@ impl NonRigid for SoftBody {
     }
 
     fn bits(&self) -> Box<dyn Iterator<Item = u32> + '_> {
-        let Lattice { x, v, .. } = &self.lattice;
-        let numbers = x.iter().chain(v).flatten().map(|number| number.to_bits());
+        let Lattice { x, v, tangents, .. } = &self.lattice;
+        let numbers = x.iter().chain(v).flatten().chain(tangents).map(|number| number.to_bits());
         let still = self.still.to_bits();
         let sleep = [still as u32, (still >> 32) as u32, u32::from(self.is_asleep)];
         Box::new(numbers.chain(self.contacts.bits()).chain(sleep))

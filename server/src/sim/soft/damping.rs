@@ -1,27 +1,41 @@
 //! Damping: deformation dies out, and motion as a whole does not.
 //!
-//! Velocities relative to those of a rigid body with the same momentum and angular momentum become smaller at the rate
-//! of the material. So a body that flies or spins keeps both momenta. One with nodes that are held is damped
-//! against the world in which they are.
+//! Two kinds act on velocities relative to those of a rigid body with the same momentum and angular momentum. So a body
+//! that flies or spins keeps both. One with nodes that are held is damped against the world in which they are.
 //!
-//! It acts in every substep alike: velocities that are scaled down every few substeps only excite the fastest modes.
+//! - In proportion to **mass**: velocities become smaller at the rate of the material. This ends what one sees.
+//! - In proportion to **stiffness** K, as in a material of Kelvin and Voigt: elastic forces are those of where nodes will
+//!   be a time τ later, f(x + τ v) ≈ f(x) − τ K v. A mode of ω loses τ ω²/2 of its amplitude in a second. This ends
+//!   what contacts stir up among neighbours. A mode that one sees hardly feels it.
+//!
+//! They act in every substep alike: velocities that are scaled down every few substeps only excite the fastest modes.
 
 use nalgebra::{Matrix3, Vector3};
 
-use super::lattice::Lattice;
+use super::lattice::{Form, Lattice};
+
+/// τ, as a part of the time step. The fastest mode of a lattice then has a damping ratio of 0.08.
+pub(super) const VISCOSITY: f64 = 0.1;
 
 /// The part of a velocity that is left after `seconds` at `rate`, 1/s.
 pub(super) fn kept(rate: f64, seconds: f32) -> f32 {
     1.0 / (1.0 + rate as f32 * seconds)
 }
 
-/// Lets the deformation of a body that nothing holds die out at `rate` (1/s) for `seconds`.
-pub(super) fn damp(lattice: &mut Lattice, rate: f64, seconds: f32) {
-    let keep = kept(rate, seconds);
-    let rigid = Rigid::of(lattice);
-    let [vx, vy, vz] = &mut lattice.v;
-    let [x, y, z] = &lattice.x;
-    for (node, inverse_mass) in lattice.form.inverse_mass.iter().enumerate() {
+/// Scales velocities relative to those of a rigid body, or of the world, by `keep`.
+pub(super) fn damp(
+    form: &Form,
+    x: &[Vec<f32>; 3],
+    v: &mut [Vec<f32>; 3],
+    rigid: Option<&Rigid>,
+    keep: f32,
+) {
+    let Some(rigid) = rigid else {
+        v.iter_mut().flatten().for_each(|velocity| *velocity *= keep);
+        return;
+    };
+    let ([x, y, z], [vx, vy, vz]) = (x, v);
+    for (node, inverse_mass) in form.inverse_mass.iter().enumerate() {
         if *inverse_mass == 0.0 {
             continue;
         }
@@ -32,8 +46,32 @@ pub(super) fn damp(lattice: &mut Lattice, rate: f64, seconds: f32) {
     }
 }
 
+/// Writes where nodes will be after `lag` (s), as far as they do not move as a rigid body.
+pub(super) fn look_ahead(
+    x: &[Vec<f32>; 3],
+    v: &[Vec<f32>; 3],
+    rigid: Option<&Rigid>,
+    lag: f32,
+    ahead: &mut [Vec<f32>; 3],
+) {
+    for ((ahead, x), v) in ahead.iter_mut().zip(x).zip(v) {
+        ahead.clear();
+        ahead.extend(x.iter().zip(v).map(|(x, v)| x + lag * v));
+    }
+    let Some(rigid) = rigid else { return };
+    let [x, y, z] = x;
+    let [first, second, third] = ahead;
+    for node in 0..x.len() {
+        let [a, b, c] = rigid.at([x[node], y[node], z[node]]);
+        first[node] -= lag * a;
+        second[node] -= lag * b;
+        third[node] -= lag * c;
+    }
+}
+
 /// The motion of a rigid body.
-struct Rigid {
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Rigid {
     centre: [f32; 3],
     velocity: [f32; 3],
     rate: [f32; 3],
@@ -41,7 +79,7 @@ struct Rigid {
 
 impl Rigid {
     /// That with the momenta of a lattice.
-    fn of(lattice: &Lattice) -> Self {
+    pub(super) fn of(lattice: &Lattice) -> Self {
         let vector = |numbers: &[Vec<f32>; 3], node: usize| {
             Vector3::new(numbers[0][node], numbers[1][node], numbers[2][node]).cast::<f64>()
         };

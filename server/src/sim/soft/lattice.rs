@@ -11,6 +11,7 @@ use std::sync::Arc;
 
 use nalgebra::{Point3, Vector3};
 
+use super::damping::Rigid;
 use super::lanes::LANES;
 use super::material::{MOST_NODES, Material, MaterialError};
 use super::{damping, elasticity};
@@ -22,7 +23,7 @@ pub(super) const CORNERS: usize = 8;
 
 /// The tangent up to which elements bear the time step of the material: [`elasticity`] says what it is. Below it all
 /// steps are alike, since steps that follow a vibration would feed it.
-const TANGENT: f32 = 1.4;
+const TANGENT: f32 = 1.1;
 
 /// How many times shorter time steps become, at most.
 const SHORTEST: f64 = 16.0;
@@ -192,14 +193,23 @@ pub struct Lattice {
     pub(super) v: [Vec<f32>; 3],
     /// All moduli are this many times those of the form.
     pub(super) stiffness: f32,
-    forces: Forces,
+    /// Greatest tangent of an element, in the world's substep before this one and in this one.
+    pub(super) tangents: [f32; 2],
+    workspace: Workspace,
 }
 
-/// Forces on nodes, N; between substeps they hold nothing.
+/// What is computed anew in each step; copies hold nothing.
 #[derive(Debug, Default)]
-struct Forces([Vec<f32>; 3]);
+struct Workspace {
+    /// Forces on nodes, N.
+    forces: [Vec<f32>; 3],
+    /// Positions for which elastic forces are computed, m.
+    ahead: [Vec<f32>; 3],
+    /// How a body that nothing holds moves as a whole.
+    rigid: Option<Rigid>,
+}
 
-impl Clone for Forces {
+impl Clone for Workspace {
     fn clone(&self) -> Self {
         Self::default()
     }
@@ -211,7 +221,8 @@ impl Lattice {
         let zeros = || [0, 1, 2].map(|_| vec![0.0; form.mu.len()]);
         let (x, v) = (zeros(), zeros());
         let origin = Vector3::zeros();
-        let mut lattice = Self { form, origin, x, v, stiffness: 1.0, forces: Forces::default() };
+        let (stiffness, tangents, workspace) = (1.0, [0.0; 2], Workspace::default());
+        let mut lattice = Self { form, origin, x, v, stiffness, tangents, workspace };
         lattice.place(world_from_body);
         lattice
     }
@@ -220,6 +231,7 @@ impl Lattice {
     pub fn place(&mut self, world_from_body: &Pose) {
         let grid = self.form.grid;
         self.origin = world_from_body.translation.vector;
+        self.tangents = [0.0; 2];
         for (node, place) in grid.node_places().enumerate() {
             let at = world_from_body.rotation * grid.node(place);
             for axis in 0..3 {
@@ -255,11 +267,22 @@ impl Lattice {
         Vector3::from([0, 1, 2].map(|axis| f64::from(self.v[axis][node])))
     }
 
+    /// Begins a substep of the world.
+    pub fn begin(&mut self) {
+        self.tangents = [self.tangents[1], 0.0];
+    }
+
     /// Finds what pulls at nodes where they are: elastic forces, and `gravity` times that of the Earth. Returns the time
-    /// step to take of the `left` (s): as long as the material bears, or shorter where an element is much stiffer than at rest.
+    /// step to take of the `left` (s): as long as the material bears, or shorter where an element is stiffer than at rest,
+    /// or was since the world's last substep began. Steps that followed a vibration would feed it.
     pub fn find_forces(&mut self, gravity: f32, left: f64) -> f32 {
+        let lag = (damping::VISCOSITY * self.longest_step()) as f32;
+        // What is held is damped against the world in which it is held.
+        let rigid = (!self.form.has_held_nodes).then(|| Rigid::of(self));
+        damping::look_ahead(&self.x, &self.v, rigid.as_ref(), lag, &mut self.workspace.ahead);
+        self.workspace.rigid = rigid;
         let form = &*self.form;
-        let forces = &mut self.forces.0;
+        let Workspace { forces, ahead, .. } = &mut self.workspace;
         for force in forces.iter_mut() {
             force.clear();
             force.resize(form.mass.len(), 0.0);
@@ -268,28 +291,28 @@ impl Lattice {
         for (force, mass) in forces[2].iter_mut().zip(&form.mass) {
             *force = weight * mass;
         }
-        let tangent = elasticity::add_forces(form, self.stiffness, &self.x, forces);
-        let longest = 1.0 / (SUBSTEPS_PER_SECOND * f64::from(form.substeps));
-        let shorter = f64::from((tangent / TANGENT).sqrt());
-        let shortened = longest / shorter.clamp(1.0, SHORTEST);
+        let tangent = elasticity::add_forces(form, self.stiffness, ahead, forces);
+        self.tangents[1] = self.tangents[1].max(tangent);
         // What is left is shared evenly, however it was rounded.
-        (left / (left / shortened - 1e-6).ceil().max(1.0)) as f32
+        (left / (left / self.longest_step() - 1e-6).ceil().max(1.0)) as f32
+    }
+
+    /// The longest time step that its elements bear, s.
+    fn longest_step(&self) -> f64 {
+        let tangent = self.tangents[0].max(self.tangents[1]);
+        let at_rest = 1.0 / (SUBSTEPS_PER_SECOND * f64::from(self.form.substeps));
+        at_rest / f64::from((tangent / TANGENT).sqrt()).clamp(1.0, SHORTEST)
     }
 
     /// Changes velocities by what these forces and damping do in `seconds`.
     pub fn kick(&mut self, seconds: f32) {
-        let form = &*self.form;
-        let rate = form.material.damping;
-        // What is held is damped against the world in which it is held.
-        let keep = if form.has_held_nodes { damping::kept(rate, seconds) } else { 1.0 };
-        for (velocities, forces) in self.v.iter_mut().zip(&self.forces.0) {
-            let nodes = velocities.iter_mut().zip(forces).zip(&form.inverse_mass);
+        let keep = damping::kept(self.form.material.damping, seconds);
+        damping::damp(&self.form, &self.x, &mut self.v, self.workspace.rigid.as_ref(), keep);
+        for (velocities, forces) in self.v.iter_mut().zip(&self.workspace.forces) {
+            let nodes = velocities.iter_mut().zip(forces).zip(&self.form.inverse_mass);
             for ((velocity, force), inverse_mass) in nodes {
-                *velocity = (*velocity + *force * inverse_mass * seconds) * keep;
+                *velocity += *force * inverse_mass * seconds;
             }
-        }
-        if !form.has_held_nodes {
-            damping::damp(self, rate, seconds);
         }
     }
 
@@ -309,7 +332,7 @@ impl Lattice {
 
     /// Memory that its state and its workspace take, bytes; what does not change is shared.
     pub(super) fn memory_bytes(&self) -> u64 {
-        (9 * self.form.mass.len() * size_of::<f32>()) as u64
+        (12 * self.form.mass.len() * size_of::<f32>()) as u64
     }
 
     /// The fastest node's speed, m/s.

@@ -8,7 +8,7 @@ use nalgebra::{Point3, Vector3};
 use super::super::{Form, Lattice, Material};
 use super::material;
 use crate::sim::frames::{self, Pose};
-use crate::sim::world::GRAVITY;
+use crate::sim::world::{GRAVITY, SUBSTEPS_PER_SECOND};
 
 /// Where [`Form::slab`] has the least coordinates, half a spacing inside.
 fn is_at(axis: usize, end: f64) -> impl Fn(&Point3<f64>) -> bool {
@@ -17,13 +17,16 @@ fn is_at(axis: usize, end: f64) -> impl Fn(&Point3<f64>) -> bool {
 
 /// Lets time pass without contacts; `constrain` corrects velocities.
 fn run(lattice: &mut Lattice, seconds: f64, gravity: f64, mut constrain: impl FnMut(&mut Lattice)) {
-    let mut left = seconds;
-    while left > 1e-8 {
-        let dt = lattice.find_forces((gravity / GRAVITY) as f32, left);
-        lattice.kick(dt);
-        constrain(lattice);
-        lattice.drift(dt);
-        left -= f64::from(dt);
+    for _ in 0..(seconds * SUBSTEPS_PER_SECOND).round() as u32 {
+        let mut left = 1.0 / SUBSTEPS_PER_SECOND;
+        lattice.begin();
+        while left > 1e-8 {
+            let dt = lattice.find_forces((gravity / GRAVITY) as f32, left);
+            lattice.kick(dt);
+            constrain(lattice);
+            lattice.drift(dt);
+            left -= f64::from(dt);
+        }
     }
 }
 
