@@ -79,6 +79,10 @@ policies: .venv-rl/ready ## * assets/policies: the best policies of the runs in 
 experts: ## server/tests/fixtures/experts.tsv: with which seeds the scripted experts fail
 	TROCAR_WRITE_EXPERTS=1 $(CARGO) test $(RUST) --test server experts::
 
+.PHONY: picture-arm-errors
+picture-arm-errors: ## assets/pictures/arm_errors.svg: what joints with the errors of real arms are told, report and do
+	TROCAR_WRITE_PICTURE=1 $(CARGO) test $(RUST) --test server arm_errors::lags
+
 .PHONY: picture-viewer
 picture-viewer: $(VENV)/ready ## * assets/pictures/viewer.png: the live viewer, as test-browser sees it
 	$(CARGO) build --release --locked -p trocar

@@ -1,7 +1,10 @@
 //! What dVRK's own test scripts do (A1 to A14, B1 to B12 in comments), in live worlds over shared memory: times of the
 //! closed form, limits at every tick, refusals.
 
+use std::collections::BTreeMap;
+
 use trocar_client::proto::dvrk::{Command, Event, Report, State, StateCommand, TICKS_PER_SECOND};
+use trocar_client::{OptionValue, Options, SessionRequest};
 use trocar_server::robots::Psm;
 
 use crate::harness::Server;
@@ -198,6 +201,31 @@ fn servo_and_moves_follow_each_other_without_a_jump() {
     script.carry_out("PSM1", &Command::MoveCp(pose(&goal)));
     assert!(script.arm("PSM1").setpoint_cp[0] < goal[0] - 0.5);
     assert!(script.reached().iter().all(|reached| *reached), "{:?}", script.reached());
+}
+
+/// B6: the arm lags, so it is not where it was asked to be at once.
+#[test]
+fn a_servoed_jump_faults_an_arm_with_the_errors_of_a_real_one_and_enabling_recovers() {
+    let server = Server::start();
+    let errors = OptionValue::Preset("dvrk".into(), BTreeMap::new());
+    let request =
+        SessionRequest::new("NeedleReach-v0").options(Options::new().with("domain", errors));
+    let mut script = Script::open(&server, &request);
+    script.enable_and_home("PSM1");
+    script.heard.clear();
+    script.send("PSM1", &Command::servo_jp(&moved(&HOME, &[(0, 60.0 * DEGREE)])));
+    script.advance(2);
+    assert_eq!(script.state("PSM1").state, State::Fault);
+    let error = |event: &Event| match &event.report {
+        Report::Error(text) => Some(text.clone()),
+        _ => None,
+    };
+    let errors: Vec<_> = script.heard.iter().filter_map(error).collect();
+    assert!(errors.len() == 1 && errors[0].contains("tracking error"), "{errors:?}");
+    script.enable_and_home("PSM1");
+    script.carry_out("PSM1", &Command::MoveJp(HOME.to_vec()));
+    script.advance(TICKS_PER_SECOND as u32);
+    assert!(script.arm("PSM1").measured_position[0].abs() < 1e-6);
 }
 
 /// A move from rest keeps to the arm's limits at every tick, on a straight line of joints that all arrive together; what

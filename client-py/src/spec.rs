@@ -9,7 +9,7 @@ use pyo3::types::{PyBool, PyBytes, PyDict, PyString};
 use trocar_client::proto::control::{MAX_MESSAGE, decode, encode};
 use trocar_client::proto::goal::{self, Reward, SuccessRule};
 use trocar_client::proto::relative::{Bound as Limit, Place, Rule};
-use trocar_client::proto::spec;
+use trocar_client::proto::spec::{self, PRESET};
 use trocar_client::{Code, OptionValue, Rejection};
 
 use crate::array::{check_shape, described, plain, with_numbers, wrong_shape};
@@ -394,6 +394,11 @@ fn to_python(py: Python<'_>, value: &OptionValue) -> PyResult<Py<PyAny>> {
         OptionValue::Numbers(numbers) => numbers.into_pyobject(py)?.into_any().unbind(),
         OptionValue::Texts(texts) => texts.into_pyobject(py)?.into_any().unbind(),
         OptionValue::Table(table) => table.into_pyobject(py)?.into_any().unbind(),
+        OptionValue::Preset(preset, table) => {
+            let table = table.into_pyobject(py)?;
+            table.set_item(PRESET, preset)?;
+            table.into_any().unbind()
+        }
     })
 }
 
@@ -425,8 +430,15 @@ fn converted(value: &Bound<'_, PyAny>) -> Option<OptionValue> {
             let numbers = row.extract().or_else(|_| row.extract().map(|number| vec![number]));
             Some((name.extract().ok()?, numbers.ok()?))
         };
-        let table: Option<BTreeMap<String, Vec<f64>>> = table.iter().map(row).collect();
-        return table.map(OptionValue::Table);
+        let preset = table.get_item(PRESET).ok()?;
+        let rows = table
+            .iter()
+            .filter(|(name, _)| !(preset.is_some() && name.eq(PRESET).is_ok_and(|is| is)));
+        let rows: BTreeMap<String, Vec<f64>> = rows.map(row).collect::<Option<_>>()?;
+        return Some(match preset {
+            Some(preset) => OptionValue::Preset(preset.extract().ok()?, rows),
+            None => OptionValue::Table(rows),
+        });
     }
     if value.len().is_ok() {
         let numbers = value.extract().map(OptionValue::Numbers);

@@ -221,3 +221,29 @@ def test_errors_survive_pickling(server: str) -> None:
     assert type(copied) is errors.InvalidOption
     assert str(copied) == str(caught.value)
     assert copied.allowed == caught.value.allowed
+
+
+def test_a_preset_of_domain_gives_rows_and_an_unknown_one_is_refused(server: str) -> None:
+    def made(**domain: Any) -> gym.Env[Any, Any]:
+        return gym.make("trocar/NeedlePick-v0", server=server, domain=domain)
+
+    preset, without_base, none = (
+        made(preset="dvrk"),
+        made(preset="dvrk", base_position=(0, 0)),
+        made(),
+    )
+    envs = [preset, without_base, none]
+    seen = [env.reset(seed=3)[0]["observation"] for env in envs]
+    action = np.full(5, 0.5, np.float32)
+    later = [env.step(action)[0]["observation"] for env in envs]
+    # Encoders begin at the same place, and lag.
+    assert all(same(seen[0], other) for other in seen)
+    assert not same(later[0], later[2])
+    with refused(errors.InvalidOption, "options.domain.preset", "raven", "dvrk"):
+        made(preset="raven")
+    with refused(errors.InvalidOption, "options.domain.lag_yaw", "3"):
+        made(preset="dvrk", lag_yaw=(0.0, 3.0))
+    with refused(errors.InvalidOption, "options.domain", "7"):
+        made(preset=7)
+    for env in envs:
+        env.close()

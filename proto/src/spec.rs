@@ -1,6 +1,6 @@
 //! What a task looks like from outside: actions, observations, goals, options.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
 
 use serde::{Deserialize, Serialize};
@@ -8,6 +8,9 @@ use serde::{Deserialize, Serialize};
 use crate::error::{Code, Rejection};
 use crate::goal::{Reward, SuccessRule};
 use crate::relative::Relative;
+
+/// Stands for the preset of an option's rows where people write one among the rows.
+pub const PRESET: &str = "preset";
 
 /// A task as its clients see it, under one choice of options. Sent once, when a session opens.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -206,6 +209,32 @@ impl OptionSpec {
     }
 }
 
+impl OptionSpec {
+    /// Why a value is not accepted; where it is for one row of a table, that row is named.
+    fn refuse(&self, value: &OptionValue) -> Rejection {
+        let field = format!("options.{}", self.name);
+        let (Allowed::Table(rows), OptionValue::Table(table) | OptionValue::Preset(_, table)) =
+            (&self.allowed, value)
+        else {
+            let allowed = format!("allowed is {}", self.allowed);
+            return Rejection::new(Code::InvalidOption, field, value, allowed);
+        };
+        let known = |name: &str| rows.iter().find(|row| row.name == name);
+        let is_bad = |(name, numbers): &(&String, &Vec<f64>)| {
+            known(name).is_none_or(|row| !row.accepts(numbers))
+        };
+        let (name, numbers) = table.iter().find(is_bad).expect("a row is not accepted");
+        let allowed = if let Some(row) = known(name) {
+            format!("allowed is {row}")
+        } else {
+            let names: Vec<_> = rows.iter().map(|row| row.name.as_str()).collect();
+            format!("unknown row; this task knows {names:?}")
+        };
+        let given = OptionValue::Numbers(numbers.clone());
+        Rejection::new(Code::InvalidOption, format!("{field}.{name}"), given, allowed)
+    }
+}
+
 /// The value of an option. Not recursive, so that no message can nest.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub enum OptionValue {
@@ -221,6 +250,8 @@ pub enum OptionValue {
     Texts(Vec<String>),
     /// Named rows of numbers, e.g. ranges by parameter.
     Table(BTreeMap<String, Vec<f64>>),
+    /// The rows that a preset gives, and those that are given in their place. Resolved options have a table of all.
+    Preset(String, BTreeMap<String, Vec<f64>>),
 }
 
 impl fmt::Display for OptionValue {
@@ -232,6 +263,7 @@ impl fmt::Display for OptionValue {
             Self::Numbers(numbers) => write!(f, "{numbers:?}"),
             Self::Texts(texts) => write!(f, "{texts:?}"),
             Self::Table(table) => write!(f, "{table:?}"),
+            Self::Preset(preset, table) => write!(f, "preset {preset:?} with {table:?}"),
         }
     }
 }
@@ -263,7 +295,7 @@ pub enum Allowed {
         /// Largest value.
         max: f64,
     },
-    /// Rows by name; every row has `count` finite numbers in `[min, max]`.
+    /// Rows by name; every row has `count` finite numbers in `[min, max]`. Presets give what rows say of them.
     Table(Vec<RowSpec>),
 }
 
@@ -280,6 +312,25 @@ pub struct RowSpec {
     pub min: f64,
     /// Largest value of each.
     pub max: f64,
+    /// Its numbers in the presets that give it.
+    pub presets: BTreeMap<String, Vec<f64>>,
+}
+
+impl RowSpec {
+    fn accepts(&self, numbers: &[f64]) -> bool {
+        are_within(numbers, self.count, self.min, self.max)
+    }
+}
+
+impl fmt::Display for RowSpec {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{} numbers in [{}, {}]", self.count, self.min, self.max)
+    }
+}
+
+/// Whether there are `count` numbers, each in `[min, max]`.
+fn are_within(numbers: &[f64], count: usize, min: f64, max: f64) -> bool {
+    numbers.len() == count && numbers.iter().all(|number| (min..=max).contains(number))
 }
 
 impl fmt::Display for Allowed {
@@ -297,8 +348,11 @@ impl fmt::Display for Allowed {
                 write!(f, "a table with any of")?;
                 for (index, row) in rows.iter().enumerate() {
                     let comma = if index == 0 { "" } else { "," };
-                    let RowSpec { name, count, min, max, .. } = row;
-                    write!(f, "{comma} {name} ({count} numbers in [{min}, {max}])")?;
+                    write!(f, "{comma} {} ({row})", row.name)?;
+                }
+                let presets = presets_of(rows);
+                if !presets.is_empty() {
+                    write!(f, ", and a preset of {presets:?}")?;
                 }
                 Ok(())
             }
@@ -308,9 +362,6 @@ impl fmt::Display for Allowed {
 
 impl Allowed {
     fn accepts(&self, value: &OptionValue) -> bool {
-        let within = |numbers: &[f64], count: usize, min: f64, max: f64| {
-            numbers.len() == count && numbers.iter().all(|number| (min..=max).contains(number))
-        };
         match (self, value) {
             (Self::Flag, OptionValue::Flag(_)) => true,
             (Self::Range { min, max }, OptionValue::Number(number)) => {
@@ -325,18 +376,42 @@ impl Allowed {
                     })
             }
             (Self::Vector { count, min, max }, OptionValue::Numbers(numbers)) => {
-                within(numbers, *count, *min, *max)
+                are_within(numbers, *count, *min, *max)
             }
-            (Self::Table(rows), OptionValue::Table(table)) => {
-                table.iter().all(|(name, numbers)| {
-                    rows.iter().any(|row| {
-                        row.name == *name && within(numbers, row.count, row.min, row.max)
-                    })
-                })
+            (Self::Table(rows), OptionValue::Table(table) | OptionValue::Preset(_, table)) => {
+                let is_known = |(name, numbers): (&String, &Vec<f64>)| {
+                    rows.iter().any(|row| row.name == *name && row.accepts(numbers))
+                };
+                table.iter().all(is_known)
             }
             _ => false,
         }
     }
+
+    /// The value with the rows of its preset, if it has one.
+    fn expanded(&self, option: &str, value: &OptionValue) -> Result<OptionValue, Rejection> {
+        let (Self::Table(rows), OptionValue::Preset(preset, own)) = (self, value) else {
+            return Ok(value.clone());
+        };
+        let presets = presets_of(rows);
+        if !presets.contains(preset.as_str()) {
+            return Err(Rejection::new(
+                Code::InvalidOption,
+                format!("options.{option}.preset"),
+                format!("{preset:?}"),
+                format!("allowed is one of {presets:?}"),
+            ));
+        }
+        let given = |row: &RowSpec| Some((row.name.clone(), row.presets.get(preset)?.clone()));
+        let mut table: BTreeMap<_, _> = rows.iter().filter_map(given).collect();
+        table.extend(own.clone());
+        Ok(OptionValue::Table(table))
+    }
+}
+
+/// The presets that give any of `rows`.
+fn presets_of(rows: &[RowSpec]) -> BTreeSet<&str> {
+    rows.iter().flat_map(|row| row.presets.keys()).map(String::as_str).collect()
 }
 
 /// The options of a session by name; what is missing has its default.
@@ -362,7 +437,7 @@ impl Options {
         self.with(name, OptionValue::Text(word.into()))
     }
 
-    /// Checks every option against what a task allows and fills in the defaults.
+    /// Checks every option against what a task allows, fills in the defaults and puts rows in place of presets.
     pub fn resolve(&self, allowed: &[OptionSpec]) -> Result<Options, Rejection> {
         for (name, value) in &self.0 {
             let Some(option) = allowed.iter().find(|option| option.name == *name) else {
@@ -375,19 +450,14 @@ impl Options {
                 ));
             };
             if !option.allowed.accepts(value) {
-                return Err(Rejection::new(
-                    Code::InvalidOption,
-                    format!("options.{name}"),
-                    value,
-                    format!("allowed is {}", option.allowed),
-                ));
+                return Err(option.refuse(value));
             }
         }
         let value_of = |option: &OptionSpec| {
             let value = self.0.get(&option.name).unwrap_or(&option.default);
-            (option.name.clone(), value.clone())
+            Ok((option.name.clone(), option.allowed.expanded(&option.name, value)?))
         };
-        Ok(Options(allowed.iter().map(value_of).collect()))
+        allowed.iter().map(value_of).collect::<Result<_, _>>().map(Options)
     }
 
     /// The word given for `name`.
@@ -438,6 +508,7 @@ mod tests {
                     count: 2,
                     min: 0.0,
                     max: 2.0,
+                    presets: [("slippery".to_string(), vec![0.2, 0.4])].into(),
                 }]),
             },
         ]
@@ -477,5 +548,22 @@ mod tests {
         assert!(row(&[0.5, 1.0]).is_ok());
         assert!(row(&[0.5]).is_err());
         assert!(row(&[0.5, f64::NAN]).is_err());
+    }
+
+    #[test]
+    fn a_preset_gives_rows_and_those_beside_it_take_their_place() {
+        let resolved = |preset: &str, rows: &[(&str, [f64; 2])]| {
+            let rows = rows.iter().map(|(name, row)| (name.to_string(), row.to_vec()));
+            let value = OptionValue::Preset(preset.into(), rows.collect());
+            Options::new().with("domain", value).resolve(&allowed())
+        };
+        let rows = resolved("slippery", &[]).unwrap();
+        assert_eq!(rows.row("domain", "friction"), Some([0.2, 0.4].as_slice()));
+        let rows = resolved("slippery", &[("friction", [1.0, 1.0])]).unwrap();
+        assert_eq!(rows.row("domain", "friction"), Some([1.0, 1.0].as_slice()));
+        assert!(resolved("slippery", &[("friction", [1.0, 3.0])]).is_err());
+        let refusal = resolved("sticky", &[]).unwrap_err();
+        assert_eq!(refusal.field, "options.domain.preset");
+        assert!(refusal.to_string().contains("slippery"), "{refusal}");
     }
 }

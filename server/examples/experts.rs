@@ -14,13 +14,20 @@ use std::sync::Mutex;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 use anyhow::{Context, bail};
+use trocar_proto::spec::Allowed;
 use trocar_proto::{OptionValue, Options, builtin};
 use trocar_server::Registry;
 
 /// What may be wrong with an arm: rate, Hz, and rows of `domain`.
 type Condition = (&'static str, f64, &'static [(&'static str, [f64; 2])]);
 
-const CONDITIONS: [Condition; 13] = [
+/// Conditions whose rows are beside those of the preset `dvrk`.
+const DVRK: &str = "dvrk";
+
+/// How far the pad gives, m: of tasks whose object lies on a pad.
+const PAD: (&str, [f64; 2]) = ("pad_depth", [0.002; 2]);
+
+const CONDITIONS: [Condition; 15] = [
     ("default", 5.0, &[]),
     ("rate 10", 10.0, &[]),
     ("rate 20", 20.0, &[]),
@@ -42,6 +49,8 @@ const CONDITIONS: [Condition; 13] = [
             ("joint_offset", [-0.01, 0.01]),
         ],
     ),
+    ("dvrk", 5.0, &[]),
+    ("dvrk, pad", 5.0, &[PAD]),
 ];
 
 struct Arguments {
@@ -97,12 +106,26 @@ struct Cell {
 
 impl Cell {
     fn run(&self, options: &Options, seeds: &[u64]) -> anyhow::Result<()> {
-        let (_, rate, rows) = self.condition;
-        let rows = rows.iter().map(|(row, range)| (row.to_string(), range.to_vec()));
+        let (name, rate, rows) = self.condition;
+        let registry = Registry::builtin();
+        let known = registry.spec(self.task, &Options::new())?.options;
+        let knows = |row: &str| {
+            let domain = known.iter().find(|option| option.name == "domain");
+            let Some(Allowed::Table(rows)) = domain.map(|domain| &domain.allowed) else {
+                return false;
+            };
+            rows.iter().any(|known| known.name == row)
+        };
+        let rows = rows.iter().filter(|(row, _)| *row != PAD.0 || knows(row));
+        let rows = rows.map(|(row, range)| (row.to_string(), range.to_vec()));
         let rows: BTreeMap<_, _> = rows.collect();
         let options = options.clone().with("rate", OptionValue::Number(rate));
-        let options = options.with("domain", OptionValue::Table(rows));
-        let mut env = Registry::builtin().make(self.task, &options)?;
+        let domain = if name.starts_with(DVRK) {
+            OptionValue::Preset(DVRK.into(), rows)
+        } else {
+            OptionValue::Table(rows)
+        };
+        let mut env = registry.make(self.task, &options.with("domain", domain))?;
         let mut action = vec![0.0; env.spec().action_dim()];
         for seed in seeds {
             env.reset(Some(*seed));

@@ -3,6 +3,7 @@
 
 #![allow(clippy::unwrap_used)] // a panic is a test's report
 
+mod arm_errors;
 mod assets;
 mod between;
 mod bits;

@@ -13,6 +13,7 @@ use trocar_server::sim::random::Rng;
 use trocar_server::tasks::builtin;
 
 mod domain;
+pub(crate) use domain::is_arm_error;
 mod heads;
 
 /// What an environment shows after a reset or step.

@@ -66,6 +66,21 @@ def test_b6_a_jump_that_the_arm_does_not_follow_is_a_fault(homed: Arm) -> None:
     assert homed.enable(5)
 
 
+def test_b6_an_arm_that_lags_faults_as_well_and_recovers(start: Start) -> None:
+    lagging = Arm(start("--task", "NeedleReach-v0", "--errors", "dvrk"), "PSM1")
+    lagging.check_connections()
+    assert lagging.enable(10)
+    assert lagging.home(10)
+    assert lagging.move_jp(ZERO).wait()
+    lagging.servo_jp([60 * DEGREE, *ZERO[1:]])
+    assert lagging.ros.until(lambda: lagging.told["error"], 5.0)
+    assert "tracking error" in lagging.told["error"][0]
+    assert lagging.state.state == "FAULT"
+    assert lagging.enable(5)
+    assert lagging.home(10)
+    assert lagging.move_jp(ZERO).wait()
+
+
 def test_b7_disabling_during_a_move_stops_it(homed: Arm) -> None:
     assert homed.move_jp([60 * DEGREE, *ZERO[1:]]).wait(is_busy=True)
     time.sleep(0.2)

@@ -1,9 +1,11 @@
 //! A task's options as flags, and as JSON.
 
+use std::collections::BTreeSet;
+
 use anyhow::Context;
 use clap::Args;
 use serde_json::{Map, Value, json};
-use trocar_proto::spec::{Allowed, OptionSpec};
+use trocar_proto::spec::{Allowed, OptionSpec, PRESET};
 use trocar_proto::{OptionValue, Options, TaskSpec};
 pub(crate) use trocar_server::tasks::Assignment;
 
@@ -130,6 +132,11 @@ pub(crate) fn json(value: &OptionValue) -> Value {
         OptionValue::Numbers(numbers) => json!(numbers),
         OptionValue::Texts(texts) => json!(texts),
         OptionValue::Table(table) => json!(table),
+        OptionValue::Preset(preset, table) => {
+            let mut table = json!(table);
+            table[PRESET] = json!(preset);
+            table
+        }
     }
 }
 
@@ -146,7 +153,9 @@ pub(crate) fn allowed_json(allowed: &Allowed) -> Value {
             let row = |row: &trocar_proto::spec::RowSpec| {
                 (row.name.clone(), json!({"count": row.count, "min": row.min, "max": row.max}))
             };
-            Value::Object(rows.iter().map(row).collect())
+            let presets: BTreeSet<_> = rows.iter().flat_map(|row| row.presets.keys()).collect();
+            let preset = (!presets.is_empty()).then(|| (PRESET.to_string(), json!(presets)));
+            Value::Object(rows.iter().map(row).chain(preset).collect())
         }
     }
 }

@@ -22,6 +22,7 @@ mod reading;
 mod statistics;
 mod truth;
 
+use std::collections::BTreeMap;
 use std::net::IpAddr;
 use std::process::ExitCode;
 use std::sync::Arc;
@@ -31,7 +32,9 @@ use anyhow::Context as _;
 use clap::{Parser, ValueEnum};
 use tracing_subscriber::EnvFilter;
 use trocar_client::proto::dvrk::{Homing, LiveRequest};
-use trocar_client::{CallError, Client, Code, ConnectError, Rejection, SessionRequest};
+use trocar_client::{
+    CallError, Client, Code, ConnectError, OptionValue, Rejection, SessionRequest,
+};
 
 use crate::bus::Bus;
 use crate::dvrk::Dvrk;
@@ -56,6 +59,9 @@ struct Options {
     /// What an arm does when it is homed
     #[arg(long, value_enum, default_value_t = HomingWord::ToZero)]
     homing: HomingWord,
+    /// Errors of real arms: a preset of the task's option `domain`, such as dvrk
+    #[arg(long, value_name = "PRESET")]
+    errors: Option<String>,
     /// Address of the network interface on which ROS 2 finds it
     #[arg(long, default_value = "127.0.0.1")]
     interface: IpAddr,
@@ -153,7 +159,14 @@ fn run(options: &Options) -> anyhow::Result<()> {
         HomingWord::InPlace => Homing::InPlace,
     };
     let live = LiveRequest { homing, speed: Some(options.speed), ..LiveRequest::default() };
-    let request = SessionRequest::new(&options.task).seed(options.seed).live(live);
+    let errors = options
+        .errors
+        .iter()
+        .map(|preset| ("domain".to_string(), OptionValue::Preset(preset.clone(), BTreeMap::new())));
+    let request = SessionRequest::new(&options.task)
+        .seed(options.seed)
+        .options(trocar_client::Options(errors.collect()))
+        .live(live);
     let world = client.open_live(&request)?;
     let session = world.info().session;
     let arms: Vec<_> = world.live().arms.iter().map(|arm| arm.name.clone()).collect();

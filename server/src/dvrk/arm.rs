@@ -5,12 +5,12 @@ use nalgebra::Vector6;
 
 use super::Homing;
 use super::command::Command;
-use super::drivetrain::Drivetrain;
 use super::event::{Error, Event, NotReady, Stamp, Warning, What};
 use super::mechanism::{Mechanism, Pose};
-use super::planner::{Axes, Trajectory};
+use super::planner::Trajectory;
 use super::state::{OperatingState, State};
 use super::{TICK, TICKS_PER_SECOND};
+use crate::robots::{Axes, Drivetrain};
 
 mod jaw;
 mod motion;
@@ -256,8 +256,8 @@ impl ArmController {
         }
     }
 
-    /// Lets a tick of 1/240 s pass, and returns where the arm is to be at its end. The ideal arm is there; say by
-    /// [`Self::measure`] where another one is.
+    /// Lets a tick of 1/240 s pass, and returns where its drivetrain brings the links by its end. Say by
+    /// [`Self::measure`] where links are that something holds.
     pub fn tick(&mut self) -> SetPoint {
         self.ticks += 1;
         let [position, velocity] = self.follow();
@@ -269,13 +269,17 @@ impl ArmController {
         if self.history.is_full() {
             self.history.remove(0);
         }
-        self.history.push(self.setpoint.position.clone());
+        let [encoders, mut joints] = self.drivetrain.advance(&self.setpoint.position, TICK);
+        self.history.push(encoders.clone());
         let velocity = match self.mode {
             Mode::Servo { .. } => self.mean_velocity(),
+            _ if self.drivetrain.gives() => self.mean_velocity(),
             _ => self.setpoint.velocity.clone(),
         };
-        self.measured = Motion { position: self.setpoint.position.clone(), velocity };
-        let mut joints = self.drivetrain.links(&self.setpoint.position);
+        self.measured = Motion { position: encoders, velocity };
+        if self.drivetrain.gives() {
+            self.check_tracking();
+        }
         let jaw = (joints.len() > self.mechanism.joints()).then(|| joints.pop()).flatten();
         SetPoint { joints, jaw }
     }
@@ -291,9 +295,7 @@ impl ArmController {
         self.history.pop();
         self.history.push(position.clone());
         self.measured = Motion { velocity: self.mean_velocity(), position };
-        if self.state == State::Enabled && self.has_zeros && !matches!(self.mode, Mode::Free) {
-            self.check_tracking();
-        }
+        self.check_tracking();
     }
 
     /// The events since the last call, oldest first. The owner of a controller takes them at every tick.
@@ -348,8 +350,11 @@ impl ArmController {
         newest.iter().zip(oldest).map(change).collect()
     }
 
-    /// Faults where an axis is too far from its set-point, unless that is at a limit.
+    /// Faults where an axis of an arm that moves is too far from its set-point, unless that is at a limit.
     fn check_tracking(&mut self) {
+        if self.state != State::Enabled || !self.has_zeros || matches!(self.mode, Mode::Free) {
+            return;
+        }
         let tolerances = self.mechanism.tolerances();
         for (axis, tolerance) in tolerances.iter().copied().enumerate() {
             let (is, should) = (self.measured.position[axis], self.setpoint.position[axis]);

@@ -16,8 +16,8 @@ use std::f64::consts::FRAC_PI_2;
 use nalgebra::{Matrix3xX, Matrix6xX};
 pub use trocar_proto::dvrk::Pose;
 
-use super::planner::{Axes, AxisLimit, MAX_AXES};
-use crate::robots::{ArmModel, Ecm, Endoscope, IkError, JointLimit, Psm};
+use super::planner::AxisLimit;
+use crate::robots::{ArmModel, Axes, Ecm, Endoscope, IkError, JointLimit, MAX_AXES, Psm};
 
 /// How far below the remote centre dVRK keeps the wrist-pitch axis of a PSM, m (`SafeDistanceFromRCM`).
 const SAFE_DEPTH: f64 = 0.045;

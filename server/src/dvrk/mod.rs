@@ -14,7 +14,6 @@
 //! | [`arm`] | the controller |
 //! | [`planner`] | time-optimal trajectories of all joints and the jaw |
 //! | [`mechanism`] | joints, limits and kinematics with dVRK's answers |
-//! | [`drivetrain`] | what lies between encoders and links |
 //! | [`topics`] | the list of all topics, from which interfaces to clients are made |
 //!
 //! # What an arm does
@@ -64,7 +63,6 @@
 use crate::sim::world::SUBSTEPS_PER_SECOND;
 
 pub mod arm;
-pub mod drivetrain;
 pub mod event;
 pub mod mechanism;
 pub mod planner;
@@ -73,7 +71,6 @@ mod tests;
 
 pub use arm::{ArmController, JointState, SetPoint, VELOCITY_SECONDS};
 pub use command::{Command, Effort, PoseMessage, StateCommand};
-pub use drivetrain::Drivetrain;
 pub use event::{Error, Event, NotReady, Stamp, Warning, What};
 pub use mechanism::{Mechanism, NoSolution, Pose};
 pub use state::{OperatingState, State};

@@ -14,11 +14,7 @@
 
 use arrayvec::ArrayVec;
 
-/// Most axes of a trajectory: six joints and a jaw.
-pub const MAX_AXES: usize = 7;
-
-/// One number for each axis, rad or m, or their derivatives.
-pub type Axes = ArrayVec<f64, MAX_AXES>;
+use crate::robots::{Axes, MAX_AXES};
 
 /// What counts as rounding, as a part of a limit or of a time.
 const ROUNDING: f64 = 1e-12;

@@ -5,8 +5,9 @@ use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 use trocar_proto::{Code, Rejection};
 
 use super::{Env, State, Step};
-use crate::dvrk::{ArmController, Drivetrain, Homing, Mechanism, SetPoint};
+use crate::dvrk::{ArmController, Homing, Mechanism, SetPoint};
 use crate::error::StepError;
+use crate::robots::Drivetrain;
 use crate::sim::frames::Pose;
 use crate::sim::instrument::Posture;
 use crate::sim::motion::{Instruments, MAX_INSTRUMENTS, Motion};
@@ -60,9 +61,8 @@ impl LiveWorld {
         let psms = arms.iter_mut().zip(PSMS).map(|(arm, name)| {
             let jaw = arm.instrument().posture().jaw;
             let start: ArrayVec<f64, 7> = arm.encoders().iter().copied().chain([jaw]).collect();
-            let offsets = arm.offsets().iter().copied().chain([0.0]);
             ArmController::new(name, Mechanism::Psm(*arm.kinematics()), &start)
-                .with_drivetrain(Drivetrain::new(offsets))
+                .with_drivetrain(arm.drivetrain().clone())
                 .with_homing(homing)
         });
         let psms = psms.collect();
@@ -71,18 +71,18 @@ impl LiveWorld {
             arms.iter().map(|arm| *arm.scene_from_base()).collect();
         drop(arms);
         world_from_bases.extend(env.task.endoscope().map(|arm| *arm.world_from_rcm()));
-        let ecm = |kinematics, start: &[f64; 4], offsets| {
+        let ecm = |kinematics, start: &[f64; 4], drivetrain| {
             ArmController::new("ECM", Mechanism::Ecm(kinematics), start)
-                .with_drivetrain(Drivetrain::new(offsets))
+                .with_drivetrain(drivetrain)
                 .with_homing(homing)
         };
         let own = env.task.endoscope();
-        let own = own.map(|arm| ecm(*arm.kinematics(), arm.encoders(), *arm.offsets()));
+        let own = own.map(|arm| ecm(*arm.kinematics(), arm.encoders(), arm.drivetrain().clone()));
         let ecm = own.or_else(|| {
             let (kinematics, world_from_rcm) = beside?;
             world_from_bases.push(world_from_rcm);
             env.endoscope_joints = Some(theatre::JOINTS);
-            Some(ecm(kinematics, &theatre::JOINTS, [0.0; 4]))
+            Some(ecm(kinematics, &theatre::JOINTS, Drivetrain::new([0.0; 4])))
         });
         Ok(Self { env, motion, psms, ecm, world_from_bases, passed: 0 })
     }
@@ -221,7 +221,7 @@ impl LiveWorld {
             controller.tick();
             let joints = first(controller.encoders());
             match self.env.task.endoscope() {
-                Some(arm) => arm.follow(&joints),
+                Some(arm) => arm.follow(&joints, controller.drivetrain()),
                 None => self.env.endoscope_joints = Some(joints),
             }
         }
@@ -267,7 +267,8 @@ impl LiveWorld {
             let is = arm.true_wrist().translation.vector;
             let off = (is - posture.world_from_wrist.translation.vector).norm();
             let is_held_up = off > HELD_UP;
-            arm.follow(&first(controller.encoders()), is_held_up);
+            let drivetrain = controller.drivetrain();
+            arm.follow(&first(controller.encoders()), &links, drivetrain, is_held_up);
         }
     }
 

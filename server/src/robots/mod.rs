@@ -11,6 +11,7 @@
 //! | [`chain`] | joint limits and a chain of modified Denavit–Hartenberg links |
 //! | [`psm`] | the instrument arm with a Large Needle Driver, 6 joints and a jaw |
 //! | [`ecm`] | the endoscope arm, 4 joints |
+//! | [`drivetrain`] | what lies between set-points, encoders and links |
 //! | [`error`] | why an inverse does not exist |
 //!
 //! ```
@@ -24,11 +25,13 @@
 //! ```
 
 pub mod chain;
+pub mod drivetrain;
 pub mod ecm;
 pub mod error;
 pub mod psm;
 
 pub use chain::JointLimit;
+pub use drivetrain::{Axes, Drivetrain, MAX_AXES};
 pub use ecm::{Ecm, Endoscope};
 pub use error::IkError;
 pub use psm::Psm;

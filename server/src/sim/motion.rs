@@ -17,7 +17,7 @@ use super::world::{Push, World};
 
 mod effort;
 mod guard;
-mod profile;
+pub(crate) mod profile;
 
 pub use effort::Effort;
 pub use profile::Profile;
@@ -258,7 +258,10 @@ impl Motion {
         instruments: &mut [&mut Instrument],
         world: &World,
     ) -> Option<f64> {
-        if until == self.substeps {
+        let is_streamed = |way: &Way| matches!(way.profile, Profile::Streamed(_));
+        if until - self.now > 1 && self.ways.iter().any(is_streamed) {
+            None // its set-points need not be on a straight way
+        } else if until == self.substeps {
             self.finish(instruments, world)
         } else {
             self.glide(until - self.now, instruments, world)

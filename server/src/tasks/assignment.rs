@@ -1,8 +1,8 @@
-//! A task's options as text: `reward=dense`, `domain.latency=0,2`.
+//! A task's options as text: `reward=dense`, `domain.latency=0,2`, `domain.preset=dvrk`.
 
 use std::collections::BTreeMap;
 
-use trocar_proto::spec::{Allowed, OptionSpec};
+use trocar_proto::spec::{Allowed, OptionSpec, PRESET};
 use trocar_proto::{Code, OptionValue, Options, Rejection};
 
 /// `NAME=VALUE` or, for a row of a table, `NAME.ROW=VALUE`.
@@ -49,7 +49,14 @@ impl Assignment {
             let value = assignment.value(option);
             match (options.0.get_mut(name), value) {
                 // Rows of one table add up.
-                (Some(OptionValue::Table(table)), OptionValue::Table(rows)) => table.extend(rows),
+                (
+                    Some(OptionValue::Table(table) | OptionValue::Preset(_, table)),
+                    OptionValue::Table(rows),
+                ) => table.extend(rows),
+                (Some(OptionValue::Table(table)), OptionValue::Preset(preset, _)) => {
+                    let preset = OptionValue::Preset(preset, std::mem::take(table));
+                    options = options.with(name, preset);
+                }
                 (_, value) => options = options.with(name, value),
             }
         }
@@ -72,6 +79,9 @@ impl Assignment {
                 OptionValue::Texts(self.text.split(',').map(|part| part.trim().into()).collect())
             }
             (Allowed::Vector { .. }, None) => numbers().map_or_else(word, OptionValue::Numbers),
+            (Allowed::Table(_), Some(row)) if row == PRESET => {
+                OptionValue::Preset(self.text.clone(), BTreeMap::new())
+            }
             (Allowed::Table(_), Some(row)) => match numbers() {
                 Some(numbers) => OptionValue::Table(BTreeMap::from([(row.clone(), numbers)])),
                 None => word(),

@@ -128,7 +128,7 @@ impl Registered for EcmReach {
             options::arm(),
             RATE.option(5.0),
             Sees::option(),
-            options::domain_with([camera_position]),
+            options::domain_with([camera_position].into_iter().chain(options::ecm_rows())),
             options::setup(&EcmArm::setup_rows()),
         ]
     }

@@ -44,7 +44,9 @@
 //! Jacobian. Source: the original.
 
 use std::borrow::Cow;
+use std::collections::BTreeMap;
 use std::f64::consts::{FRAC_PI_2, PI};
+use std::sync::Arc;
 
 use nalgebra::{Point3, UnitQuaternion, Vector3, Vector6};
 use trocar_proto::builtin;
@@ -53,14 +55,15 @@ use trocar_proto::{Options, Rejection};
 
 use super::camera;
 use super::expert::Sees;
-use super::options::{self, ActionMode, Domain, Preset};
+use super::options::{self, ActionMode, ArmErrors, Domain, Preset};
 use super::rate::Rate;
 use super::state::State;
 use super::theatre;
 use crate::render::{Scene, Viewpoint};
-use crate::robots::{Ecm, Endoscope, JointLimit};
+use crate::robots::{Drivetrain, Ecm, Endoscope, JointLimit};
 use crate::sim::frames::{self, Aabb, Pose};
 use crate::sim::random::Rng;
+use crate::sim::world::SUBSTEPS_PER_SECOND;
 
 #[cfg(test)]
 #[expect(clippy::float_cmp, reason = "these results are exact")]
@@ -124,6 +127,8 @@ pub struct EcmArm {
     kinematics: Ecm,
     control: Control,
     world_from_rcm: Pose,
+    /// The remote centre as it truly is.
+    world_from_true_rcm: Pose,
     world_from_nominal: Pose,
     /// The camera of the nominal arm with all joints at 0: its view is the natural line of sight.
     world_from_reference: Pose,
@@ -131,10 +136,13 @@ pub struct EcmArm {
     mode: ActionMode,
     preset: Preset,
     domain: Domain,
+    errors: Arc<ArmErrors>,
     /// What the joint sensors report.
     joints: [f64; 4],
-    /// What the joints really are, less what the sensors report.
-    offsets: [f64; 4],
+    /// What lies between what motors are told, joint sensors and links.
+    drivetrain: Drivetrain,
+    /// Where an arm with a transmission is after each substep of the latest command; the first is from before.
+    passed: Vec<Drivetrain>,
     /// Where the camera really is, seen from where it should be; none where it is there.
     camera_error: Option<Pose>,
     /// The camera as the joint sensors report it, in the nominal RCM frame.
@@ -155,6 +163,7 @@ impl EcmArm {
             count: 4,
             min: -PI,
             max: PI,
+            presets: BTreeMap::new(),
         }]
     }
 
@@ -170,14 +179,17 @@ impl EcmArm {
             kinematics,
             control,
             world_from_rcm: world_from_rcm(base),
+            world_from_true_rcm: world_from_rcm(base),
             world_from_nominal,
             world_from_reference: world_from_nominal * kinematics.base_from_camera(&[0.0; 4]),
             start: [0.0; 4],
             mode: options::action_of(options),
             preset: options::preset_of(options),
             domain: Domain::of(options)?,
+            errors: ArmErrors::of(options)?.into(),
             joints: [0.0; 4],
-            offsets: [0.0; 4],
+            drivetrain: Drivetrain::new([0.0; 4]),
+            passed: vec![],
             camera_error: None,
             rcm_from_camera: Pose::identity(),
             rate: RATE.of(options),
@@ -201,11 +213,21 @@ impl EcmArm {
 
     /// Brings the arm to its start and draws this episode's errors of encoders and camera.
     pub fn reset(&mut self, rng: &mut Rng) {
+        let mut offsets = [0.0; 4];
         for joint in [0, 1, 3] {
-            self.offsets[joint] = self.domain.joint_offset.draw(rng);
+            offsets[joint] = self.domain.joint_offset.draw(rng);
         }
+        self.drivetrain = Drivetrain::new(offsets);
+        if let Some(transmission) = self.errors.draw_transmission(rng) {
+            self.drivetrain = self.drivetrain.clone().with_transmission(transmission, &self.start);
+        }
+        let middle = self.nominal_start().translation.vector.into();
+        let error = self.errors.draw_base_error(rng, middle);
+        self.world_from_true_rcm =
+            error.map_or(self.world_from_rcm, |error| error * self.world_from_rcm);
         self.camera_error = self.domain.draw_camera_error(rng);
         self.joints = self.start;
+        self.passed.clear();
         self.way = [self.start; 2];
         self.rcm_from_camera = self.sensed(&self.joints);
     }
@@ -229,7 +251,7 @@ impl EcmArm {
 
     /// Where joints, as they really are, bring the true camera, world frame.
     fn camera_with(&self, joints: &[f64; 4]) -> Pose {
-        let world_from_camera = self.world_from_rcm * self.kinematics.base_from_camera(joints);
+        let world_from_camera = self.world_from_true_rcm * self.kinematics.base_from_camera(joints);
         self.camera_error.map_or(world_from_camera, |error| world_from_camera * error)
     }
 
@@ -252,7 +274,7 @@ impl EcmArm {
 
     /// The joints as they really are, rad; index 2 in m.
     pub fn true_joints(&self) -> [f64; 4] {
-        std::array::from_fn(|joint| self.joints[joint] + self.offsets[joint])
+        first(&self.drivetrain.settled(&self.joints))
     }
 
     /// Length of the path of the endoscope's tip, m, since the true joints were `joints` and moved evenly. Where the
@@ -284,7 +306,7 @@ impl EcmArm {
     pub fn draw(&self, scene: &mut Scene) {
         theatre::draw_tiles(scene);
         let joints = self.true_joints();
-        theatre::draw_ecm(scene, &self.kinematics, &self.world_from_rcm, &joints);
+        theatre::draw_ecm(scene, &self.kinematics, &self.world_from_true_rcm, &joints);
         scene.look_through(&self.camera_with(&joints), false);
         scene.stage = Aabb::new([-0.8, -0.7, 0.0], [0.9, 0.7, 0.9]);
         scene.overview = Viewpoint::towards([1.75, -0.95, 1.45], [0.18, -0.02, 0.55], OVERVIEW);
@@ -313,16 +335,44 @@ impl EcmArm {
             end = std::array::from_fn(|joint| limits[joint].clamp(end[joint] + added[joint]));
         }
         self.way = [self.joints, end];
+        if self.drivetrain.gives() {
+            self.follow_way();
+        }
+    }
+
+    /// Sees ahead how encoders and links follow their motors on the way of the latest command.
+    fn follow_way(&mut self) {
+        let substeps = self.rate.substeps();
+        let mut drivetrain = self.drivetrain.clone();
+        self.passed.clear();
+        self.passed.push(drivetrain.clone());
+        for now in 1..=substeps {
+            let told = self.along(f64::from(now) / f64::from(substeps));
+            drivetrain.advance(&told, 1.0 / SUBSTEPS_PER_SECOND);
+            self.passed.push(drivetrain.clone());
+        }
+    }
+
+    /// Where the latest command has the joints after a `part`, 0 to 1, of its time.
+    fn along(&self, part: f64) -> [f64; 4] {
+        let [start, end] = self.way;
+        if part < 1.0 {
+            std::array::from_fn(|joint| start[joint] + (end[joint] - start[joint]) * part)
+        } else {
+            end
+        }
     }
 
     /// Brings the arm to where it is after a `part`, 0 to 1, of the time that it has for its latest command: each
     /// joint moves evenly.
     pub fn glide(&mut self, part: f64) {
-        let [start, end] = self.way;
-        let joints = if part < 1.0 {
-            std::array::from_fn(|joint| start[joint] + (end[joint] - start[joint]) * part)
-        } else {
-            end
+        let joints = match self.passed.len() {
+            0 => self.along(part),
+            count => {
+                let now = (part * (count - 1) as f64).round() as usize;
+                self.drivetrain.clone_from(&self.passed[now]);
+                first(self.drivetrain.present())
+            }
         };
         if joints != self.joints {
             self.joints = joints;
@@ -335,7 +385,7 @@ impl EcmArm {
         &self.kinematics
     }
 
-    /// Its remote centre of motion, world frame.
+    /// Its remote centre of motion as it is believed to be, world frame.
     pub fn world_from_rcm(&self) -> &Pose {
         &self.world_from_rcm
     }
@@ -345,9 +395,9 @@ impl EcmArm {
         &self.joints
     }
 
-    /// What the joints really are, less what the sensors report, rad; index 2 in m.
-    pub fn offsets(&self) -> &[f64; 4] {
-        &self.offsets
+    /// What lies between what its motors are told, its joint sensors and its links.
+    pub fn drivetrain(&self) -> &Drivetrain {
+        &self.drivetrain
     }
 
     /// The joints that an action asks for, as far as the arm may go there, rad; index 2 in m.
@@ -355,9 +405,12 @@ impl EcmArm {
         self.decode(action).unwrap_or(self.joints)
     }
 
-    /// Takes note of what the joint sensors report of an arm that is driven from outside, rad; index 2 in m.
-    pub fn follow(&mut self, encoders: &[f64; 4]) {
+    /// Takes note of what the joint sensors report of an arm that is driven from outside, rad; index 2 in m, and of
+    /// its drivetrain.
+    pub fn follow(&mut self, encoders: &[f64; 4], drivetrain: &Drivetrain) {
         (self.joints, self.way) = (*encoders, [*encoders; 2]);
+        self.drivetrain.clone_from(drivetrain);
+        self.passed.clear();
         self.rcm_from_camera = self.sensed(&self.joints);
     }
 
@@ -552,6 +605,11 @@ impl EcmArm {
         let world_from_camera = self.world_from_rcm * self.kinematics.base_from_camera(joints);
         self.world_from_nominal.inv_mul(&world_from_camera)
     }
+}
+
+/// The joints among axes.
+fn first(axes: &[f64]) -> [f64; 4] {
+    std::array::from_fn(|joint| axes[joint])
 }
 
 /// The misorientation as an element of a goal or an observation.

@@ -6,7 +6,8 @@
 //!
 //! `expert_sees = "truth"`, the default, shows an expert the true arm and objects. Increments are commanded to an
 //! arm that reports other poses where its encoders err, and they bring the true arm to its target all
-//! the same, since the error hardly changes from step to step. `"measured"` shows it what the environment
+//! the same, since the error hardly changes from step to step. Where cables tilt jaws that actions of the mode `paper`
+//! cannot tilt back, an expert brings their tip to where it would be. `"measured"` shows it what the environment
 //! measures: poses as the joint sensors report them, positions of objects with the episode's noise, and whether
 //! something keeps jaws apart in place of what their fingers touch.
 
@@ -119,7 +120,10 @@ impl<'a> ArmView<'a> {
         let mut ahead = Cow::Borrowed(arm);
         in_flight.for_each(|action| ahead.to_mut().command(Some(action)));
         let (wrist, aim) = match sees {
-            Sees::Truth => (*arm.true_wrist(), ahead.true_commanded()),
+            Sees::Truth => (
+                arm.as_upright_as(arm.scene_from_wrist(), arm.true_wrist()),
+                ahead.as_upright_as(ahead.commanded(), &ahead.true_commanded()),
+            ),
             Sees::Measured => (*arm.scene_from_wrist(), *ahead.commanded()),
         };
         Self { ahead, sees, wrist, aim, opening: arm.opening(world), told: arm.told_opening() }

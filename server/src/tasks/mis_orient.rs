@@ -131,7 +131,9 @@ impl Registered for MisOrient {
             options::arm(),
             RATE.option(5.0),
             Sees::option(),
-            options::domain_with(options::camera_rows(CAMERA_ANGLE)),
+            options::domain_with(
+                options::camera_rows(CAMERA_ANGLE).into_iter().chain(options::ecm_rows()),
+            ),
             options::setup(&EcmArm::setup_rows()),
         ]
     }

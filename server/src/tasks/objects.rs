@@ -85,7 +85,10 @@ pub fn options(
     specs.extend(own);
     let own = std::iter::once(options::friction_row()).chain(options::object_rows(size));
     let rows = own.chain(rows);
-    specs.extend([options::domain_with(rows), options::setup(&PsmArm::setup_rows(arms))]);
+    specs.extend([
+        options::domain_with(rows.chain(options::psm_rows())),
+        options::setup(&PsmArm::setup_rows(arms)),
+    ]);
     specs
 }
 

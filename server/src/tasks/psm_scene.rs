@@ -14,6 +14,12 @@
 //!   of 0.24 m). They hold all of the first generation's.
 //! - What is drawn: a shaft and rail 50.8 mm longer.
 //!
+//! # Errors
+//!
+//! Rows of `domain` say what is wrong with an arm: see the table of [`arm_errors`](super::options::arm_errors). Joint
+//! sensors then report other joints than its links have, and its base is elsewhere than it is believed to be. Where the base
+//! errs, the wrist may go further by as much.
+//!
 //! # Actions
 //!
 //! Every action moves from the pose that the joint sensors report. The resulting pose is confined:
@@ -30,19 +36,21 @@
 //! | `cartesian_abs` | x, y, z within [`REACH`], rotation vector from jaws straight down (180°), jaw as before; a step goes at most 10 mm along each axis and 30° towards it |
 //! | `joint` | yaw, pitch (0.06 rad), insertion (10 mm), roll, wrist pitch, wrist yaw (30°), jaw as before |
 
+use std::collections::BTreeMap;
 use std::f64::consts::{FRAC_PI_2, PI};
+use std::sync::Arc;
 
 use nalgebra::Vector3;
 use trocar_proto::builtin;
 use trocar_proto::spec::{Element, RowSpec};
 use trocar_proto::{Options, Rejection};
 
-use super::options::{self, ActionMode, Preset, Range};
+use super::options::{self, ActionMode, ArmErrors, Preset, Range};
 use super::rate::Rate;
 use super::state::State;
 use crate::render::skeleton::Skeleton;
 use crate::render::{Jaws, Scene};
-use crate::robots::{ArmModel, Psm};
+use crate::robots::{ArmModel, Axes, Drivetrain, Psm};
 use crate::sim::frames::{self, Aabb, Pose};
 use crate::sim::grasp::Grasp;
 use crate::sim::instrument::{self, Instrument, JAW_CLOSED, JAW_OPEN, Posture, TIP_OFFSET};
@@ -52,6 +60,7 @@ use crate::sim::world::{BodyId, World};
 
 mod action;
 mod driven;
+mod erring;
 mod measured;
 mod orientation;
 mod place;
@@ -170,7 +179,10 @@ pub struct PsmArm {
     /// 0 is PSM1, 1 is PSM2.
     index: usize,
     kinematics: Psm,
+    /// The base as it is believed to be.
     scene_from_base: Pose,
+    /// The base as it truly is.
+    scene_from_true_base: Pose,
     start: Pose,
     start_joints: [f64; 6],
     mode: ActionMode,
@@ -178,6 +190,9 @@ pub struct PsmArm {
     preset: Preset,
     joint_offset: Range,
     friction: Range,
+    errors: Arc<ArmErrors>,
+    /// The middle of the workspace, m, about which the true base may be turned.
+    middle: [f64; 3],
     /// Where the wrist may go, m.
     reach: Aabb,
     /// Height of what lies under the jaws, m.
@@ -188,8 +203,13 @@ pub struct PsmArm {
     instrument: Instrument,
     /// What the joint sensors report.
     joints: [f64; 6],
-    /// What the joints really are, less what the sensors report.
-    offsets: [f64; 6],
+    /// What lies between what motors are told, joint sensors and links.
+    drivetrain: Drivetrain,
+    /// The same once motors have come to rest where the latest command asked the arm to be.
+    asked_drivetrain: Drivetrain,
+    /// What the motors of an arm with a transmission were told in each substep of the latest command, and where it then
+    /// was; the first are from before.
+    told: Vec<(Axes, Drivetrain)>,
     /// The wrist as the joint sensors report it.
     scene_from_wrist: Pose,
     /// From where increments count: where the latest command asked the arm to be, or where it is if it was
@@ -223,6 +243,7 @@ impl PsmArm {
             count,
             min,
             max,
+            presets: BTreeMap::new(),
         };
         let base = "Base of the arm: x, y, z (m), turn about the vertical (rad).";
         let bases = BASE_ROWS[..count].iter().map(|name| row(name, base, 4, -PI, PI));
@@ -245,10 +266,12 @@ impl PsmArm {
             * Pose::from(Vector3::from(BASE_FROM_RCM));
         let start = station.start;
         let domain = options::Domain::of(options)?;
+        let errors = ArmErrors::of(options)?;
         let mut arm = Self {
             index: station.arm,
             kinematics: Psm::new(options::arm_of(options)?),
             scene_from_base,
+            scene_from_true_base: scene_from_base,
             start,
             start_joints: [0.0; 6],
             mode: options::action_of(options),
@@ -256,7 +279,9 @@ impl PsmArm {
             preset: options::preset_of(options),
             joint_offset: domain.joint_offset,
             friction: domain.friction,
-            reach: reach(&station.workspace),
+            reach: reach(&station.workspace).grown(errors.reach_margin()),
+            errors: errors.into(),
+            middle: station.workspace.centre().into(),
             support: station.support,
             give: 0.0,
             instrument: Instrument::insert(
@@ -269,7 +294,9 @@ impl PsmArm {
                 },
             ),
             joints: [0.0, 0.0, 0.1, 0.0, 0.0, 0.0],
-            offsets: [0.0; 6],
+            drivetrain: Drivetrain::new([0.0; 7]),
+            asked_drivetrain: Drivetrain::new([0.0; 7]),
+            told: vec![],
             scene_from_wrist: start,
             rate: RATE.of(options),
             commanded: Commanded {
@@ -295,17 +322,19 @@ impl PsmArm {
         Ok(arm)
     }
 
-    /// Brings the arm to its start and draws this episode's encoder errors and friction of the jaws.
+    /// Brings the arm to its start and draws this episode's errors of the arm and friction of the jaws.
     pub fn reset(&mut self, world: &mut World, rng: &mut Rng) {
         if let Some(friction) = self.friction.draw_if_given(rng) {
             self.instrument.set_friction(world, friction);
         }
+        let mut offsets = [0.0; 7];
         for joint in [0, 1, 3, 4, 5] {
-            self.offsets[joint] = self.joint_offset.draw(rng);
+            offsets[joint] = self.joint_offset.draw(rng);
         }
+        self.draw_errors(offsets, rng);
         self.joints = self.start_joints;
         self.scene_from_wrist = self.start;
-        let world_from_wrist = self.true_pose(&self.joints);
+        let world_from_wrist = self.pose_of(&self.true_joints());
         self.instrument.detach(world);
         self.instrument.place(Posture { world_from_wrist, jaw: JAW_CLOSED });
         self.stay();
@@ -327,18 +356,27 @@ impl PsmArm {
         self.commanded = Commanded { joints, scene_from_wrist, jaw: self.instrument.posture().jaw };
         self.is_held_up = false;
         self.profile = Profile::rest(*self.instrument.posture());
+        self.told.clear();
+        if self.drivetrain.gives() {
+            self.asked_drivetrain.clone_from(&self.drivetrain);
+            let told = erring::axes(&self.joints, self.commanded.jaw);
+            self.told.push((told, self.drivetrain.clone()));
+        }
     }
 
     /// Puts the arm, at once, where its true wrist is at `target`, jaws open by `jaw` (rad); false
     /// where it cannot be there.
     pub fn put(&mut self, target: &Pose, jaw: f64) -> bool {
-        let base_from_wrist = self.scene_from_base.inv_mul(target);
-        let Ok(joints) = self.kinematics.inverse(&base_from_wrist, &self.start_joints) else {
+        let base_from_wrist = self.scene_from_true_base.inv_mul(target);
+        let Ok(links) = self.kinematics.inverse(&base_from_wrist, &self.start_joints) else {
             return false;
         };
-        self.joints = std::array::from_fn(|joint| joints[joint] - self.offsets[joint]);
+        let links = erring::axes(&links, jaw);
+        self.joints = erring::first(&self.drivetrain.encoders(&links));
+        self.drivetrain.displace(&links);
         self.scene_from_wrist = self.pose_at(&self.joints);
-        self.instrument.place(Posture { world_from_wrist: self.true_pose(&self.joints), jaw });
+        let world_from_wrist = self.pose_of(&self.true_joints());
+        self.instrument.place(Posture { world_from_wrist, jaw });
         self.stay();
         true
     }
@@ -430,9 +468,10 @@ impl PsmArm {
     /// Draws the arm as it truly is, as `psm1` or `psm2`.
     pub fn draw(&self, world: &World, scene: &mut Scene) {
         const NAMES: [&str; 6] = ["yaw", "pitch", "insertion", "roll", "wrist_pitch", "wrist_yaw"];
+        let joints = self.true_joints();
         let joint = |name: &str| {
             let index = NAMES.iter().position(|other| *other == name);
-            index.map_or(0.0, |index| self.joints[index] + self.offsets[index])
+            index.map_or(0.0, |index| joints[index])
         };
         let fingers = self.instrument.world_from_fingers(world);
         let link = wrist_from_link();
@@ -450,7 +489,7 @@ impl PsmArm {
             asked: self.instrument.posture().jaw,
             pressures: self.instrument.pressures(world),
         });
-        Skeleton::psm(self.model()).draw(scene, name, &self.scene_from_base, joint, elsewhere);
+        Skeleton::psm(self.model()).draw(scene, name, &self.scene_from_true_base, joint, elsewhere);
     }
 
     /// How far the shaft's end is from that of `other`, m; below 0 they overlap.
@@ -508,13 +547,16 @@ impl PsmArm {
         let scene_from_wrist = if self.errs() { self.pose_at(&joints) } else { world_from_wrist };
         let jaw = self.turned(asked);
         let end = Posture { world_from_wrist, jaw };
-        self.profile = if self.rate.is_nominal() {
+        self.profile = if self.drivetrain.gives() {
+            self.stream(&before, &erring::axes(&joints, jaw))
+        } else if self.rate.is_nominal() {
             Profile::Smoothstep { start, end }
         } else {
             let world_from_wrist = self.true_pose(&before.joints);
             let via = Posture { world_from_wrist, jaw: before.jaw };
             Profile::Bend { start, via, end: via.towards(&end, 0.5, 0.5) }
         };
+        self.asked_drivetrain.settle(&joints);
         self.commanded = Commanded { joints, scene_from_wrist, jaw };
         asked < 0.5 * (JAW_CLOSED + JAW_OPEN)
     }
@@ -538,7 +580,9 @@ impl PsmArm {
     /// Takes note of how far the arm came.
     pub fn arrive(&mut self, arrival: Arrival) {
         let is_there = arrival.covered >= 1.0 && self.rate.is_nominal();
-        if is_there {
+        if self.drivetrain.gives() {
+            self.arrive_along(arrival);
+        } else if is_there {
             let Commanded { joints, scene_from_wrist, .. } = self.commanded;
             (self.joints, self.scene_from_wrist) = (joints, scene_from_wrist);
         } else {
@@ -549,6 +593,7 @@ impl PsmArm {
         if arrival.is_blocked {
             let (joints, scene_from_wrist) = (self.joints, self.scene_from_wrist);
             self.commanded = Commanded { joints, scene_from_wrist, ..self.commanded };
+            self.asked_drivetrain.clone_from(&self.drivetrain);
         }
     }
 

@@ -87,7 +87,9 @@ impl<O: Reachable> Registered for Reaching<O> {
             options::spawn(),
             RATE.option(5.0),
             Sees::option(),
-            options::domain_with(options::object_rows(O::SIZE)),
+            options::domain_with(
+                options::object_rows(O::SIZE).into_iter().chain(options::psm_rows()),
+            ),
             options::setup(&PsmArm::setup_rows(1)),
         ]
     }

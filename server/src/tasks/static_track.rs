@@ -154,7 +154,9 @@ impl Registered for StaticTrack {
             options::arm(),
             RATE.option(10.0),
             Sees::option(),
-            options::domain_with(options::camera_rows(CAMERA_ANGLE)),
+            options::domain_with(
+                options::camera_rows(CAMERA_ANGLE).into_iter().chain(options::ecm_rows()),
+            ),
             options::setup(&Tracker::setup_rows()),
         ]
     }

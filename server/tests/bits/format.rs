@@ -163,6 +163,7 @@ pub(crate) fn json_of(options: &Options) -> String {
         OptionValue::Numbers(numbers) => json!(numbers),
         OptionValue::Texts(words) => json!(words),
         OptionValue::Table(rows) => json!(rows),
+        OptionValue::Preset(..) => panic!("episodes are kept with all their rows"),
     };
     let object: Map<_, _> =
         options.0.iter().map(|(name, value)| (name.clone(), json(value))).collect();

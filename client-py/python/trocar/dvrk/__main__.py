@@ -64,6 +64,11 @@ def arguments() -> argparse.Namespace:
         help="whether arms move when they are homed (%(default)s)",
     )
     parser.add_argument(
+        "--errors",
+        metavar="PRESET",
+        help="errors of real arms: a preset of the task's option domain, such as dvrk (none)",
+    )
+    parser.add_argument(
         "--world",
         type=int,
         metavar="SESSION",
@@ -100,6 +105,7 @@ def main() -> None:
             given.task,
             server=given.server,
             seed=given.seed,
+            options={"domain": {"preset": given.errors}} if given.errors else None,
             speed=given.speed,
             homing=given.homing,
             world=given.world,

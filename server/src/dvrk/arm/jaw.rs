@@ -3,7 +3,7 @@
 use super::{ArmController, Mode, Space, zeros};
 use crate::dvrk::command;
 use crate::dvrk::event::{Error, Warning, What};
-use crate::dvrk::planner::Axes;
+use crate::robots::Axes;
 
 /// Furthest angle to which the jaw's part of a trajectory is planned, rad. dVRK clips the jaw's way there, not its
 /// goal: a move to an angle beyond the limit takes as long as if there were none.

@@ -9,7 +9,8 @@ use crate::dvrk::TICKS_PER_SECOND;
 use crate::dvrk::command::{self, Command, Malformed, PoseMessage};
 use crate::dvrk::event::{Error, NotReady, Warning, What};
 use crate::dvrk::mechanism::Pose;
-use crate::dvrk::planner::{Axes, Trajectory};
+use crate::dvrk::planner::Trajectory;
+use crate::robots::Axes;
 
 /// Least time of homing, s: a script must not miss its beginning.
 const LEAST_HOMING: f64 = 0.1;

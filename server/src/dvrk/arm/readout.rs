@@ -8,7 +8,7 @@ use super::{ArmController, Motion, Stamp};
 use crate::dvrk::command::PoseMessage;
 use crate::dvrk::mechanism::{self, Mechanism, NoSolution, Pose};
 use crate::dvrk::numbers_of;
-use crate::dvrk::planner::Axes;
+use crate::robots::{Axes, Drivetrain};
 
 /// Positions, velocities and efforts of joints (`sensor_msgs/JointState`).
 #[derive(Debug, Clone, PartialEq)]
@@ -96,6 +96,11 @@ impl ArmController {
             record.measured_cv.copy_from_slice(twist.as_slice());
         }
         record
+    }
+
+    /// What lies between its set-points, encoders and links.
+    pub fn drivetrain(&self) -> &Drivetrain {
+        &self.drivetrain
     }
 
     /// What the encoders of all axes say, the jaw behind the joints: rad; index 2 in m.

@@ -6,7 +6,7 @@ use super::{ArmController, Velocity, zeros};
 use crate::dvrk::TICK;
 use crate::dvrk::command;
 use crate::dvrk::event::Error;
-use crate::dvrk::planner::Axes;
+use crate::robots::Axes;
 
 /// How much an ill-conditioned direction of a twist is left out: the square of a length (m) and an angle (rad).
 const DAMPING: f64 = 1e-8;

@@ -3,7 +3,8 @@
 use rsruckig::prelude::*;
 
 use super::{DEGREE, rest_to_rest};
-use crate::dvrk::planner::{Axes, AxisLimit, Trajectory};
+use crate::dvrk::planner::{AxisLimit, Trajectory};
+use crate::robots::Axes;
 use crate::sim::random::Rng;
 
 /// Tolerance of positions, rad or m, and of times, s: far above rounding, far below what an arm resolves.

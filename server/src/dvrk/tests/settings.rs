@@ -3,7 +3,8 @@
 use nalgebra::{Translation3, UnitQuaternion, Vector3};
 
 use super::*;
-use crate::dvrk::{Drivetrain, Homing, VELOCITY_SECONDS};
+use crate::dvrk::{Homing, VELOCITY_SECONDS};
+use crate::robots::Drivetrain;
 
 /// JHU's PSM2: turned by −150° about x, 0.2 m aside.
 fn base() -> Pose {

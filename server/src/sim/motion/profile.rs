@@ -78,7 +78,7 @@ impl Profile {
 }
 
 /// 0 at 0, 1 at `total`, with velocity 0 at both ends.
-fn smoothstep(done: u32, total: u32) -> f64 {
+pub(crate) fn smoothstep(done: u32, total: u32) -> f64 {
     let x = f64::from(done) / f64::from(total);
     x * x * (3.0 - 2.0 * x)
 }

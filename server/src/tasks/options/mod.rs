@@ -13,8 +13,10 @@ use crate::robots::ArmModel;
 use crate::sim::frames::Aabb;
 use crate::sim::grasp::GraspMode;
 
+pub mod arm_errors;
 mod domain;
 
+pub use arm_errors::{ArmErrors, DVRK, ecm_rows, psm_rows};
 pub use domain::{
     Domain, MOST_JOINT_OFFSET, MOST_PAD_DEPTH, Range, Variation, camera_rows, domain, domain_with,
     friction_row, object_rows, pad_rows,

@@ -1,7 +1,8 @@
 //! An arm that is driven from outside, by joints.
 
+use super::erring::axes;
 use super::{Commanded, PsmArm};
-use crate::robots::Psm;
+use crate::robots::{Drivetrain, Psm};
 use crate::sim::frames::Pose;
 use crate::sim::instrument::{JAW_CLOSED, Posture};
 use crate::sim::world::World;
@@ -15,7 +16,7 @@ impl PsmArm {
         &self.kinematics
     }
 
-    /// Its remote centre of motion, scene frame.
+    /// Its remote centre of motion as it is believed to be, scene frame.
     pub fn scene_from_base(&self) -> &Pose {
         &self.scene_from_base
     }
@@ -25,15 +26,15 @@ impl PsmArm {
         &self.joints
     }
 
-    /// What the joints really are, less what the sensors report, rad; index 2 in m.
-    pub fn offsets(&self) -> &[f64; 6] {
-        &self.offsets
+    /// What lies between what its motors are told, its joint sensors and its links; the jaw is behind the joints.
+    pub fn drivetrain(&self) -> &Drivetrain {
+        &self.drivetrain
     }
 
     /// Where the instrument is when the true joints are these, and its jaws are asked to be open by `jaw`, rad. A jaw
     /// angle below 0 squeezes; jaws that are locked cannot.
     pub fn posture_of(&self, links: &[f64; 6], jaw: f64) -> Posture {
-        let world_from_wrist = self.pose_at(links);
+        let world_from_wrist = self.pose_of(links);
         let jaw = if self.instrument.grips() { jaw } else { jaw.max(JAW_CLOSED) };
         Posture { world_from_wrist, jaw }
     }
@@ -45,7 +46,8 @@ impl PsmArm {
         if *is == posture.world_from_wrist {
             return *links;
         }
-        let found = self.kinematics.inverse_unlimited(&self.scene_from_base.inv_mul(is), links);
+        let found =
+            self.kinematics.inverse_unlimited(&self.scene_from_true_base.inv_mul(is), links);
         found.unwrap_or(*links)
     }
 
@@ -73,10 +75,20 @@ impl PsmArm {
         action
     }
 
-    /// Takes note of what the joint sensors report, rad; index 2 in m, and whether the arm is elsewhere than it was
-    /// to be.
-    pub fn follow(&mut self, encoders: &[f64; 6], is_held_up: bool) {
+    /// Takes note of what the joint sensors report, of the true joints, rad; index 2 in m, of the drivetrain between
+    /// them, and whether the arm is elsewhere than it was to be.
+    pub fn follow(
+        &mut self,
+        encoders: &[f64; 6],
+        links: &[f64; 6],
+        drivetrain: &Drivetrain,
+        is_held_up: bool,
+    ) {
         self.joints = *encoders;
+        if drivetrain.gives() {
+            self.drivetrain.clone_from(drivetrain);
+            self.drivetrain.displace(&axes(links, self.instrument.posture().jaw));
+        }
         self.scene_from_wrist = self.pose_at(encoders);
         self.stay();
         self.is_held_up = is_held_up;

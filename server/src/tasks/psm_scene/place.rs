@@ -5,6 +5,7 @@ use std::f64::consts::PI;
 use nalgebra::Vector3;
 
 use super::PsmArm;
+use super::erring::first;
 use crate::sim::frames::Pose;
 use crate::sim::instrument::TIP_OFFSET;
 
@@ -17,7 +18,7 @@ impl PsmArm {
         let tip = wrist + jaws;
         let inside = self.reach.clamp(&tip) - tip;
         target.translation.vector = Vector3::new(wrist.x + inside.x, wrist.y + inside.y, wrist.z);
-        if self.offsets == [0.0; 6] {
+        if !self.errs() {
             let lowest = self.lowest() + self.instrument.depth_below_wrist(&target.rotation);
             target.translation.z = wrist.z.max(lowest);
         }
@@ -37,9 +38,11 @@ impl PsmArm {
     pub(super) fn solve_clear_of_pad(&self, target: &Pose) -> Option<([f64; 6], Pose)> {
         /// What rounding may take from the clearance, m.
         const ROUNDING: f64 = 1e-8;
+        /// A play may take up all of a way upwards.
+        const MOST_TRIES: usize = 100;
         let mut target = *target;
         let mut joints = self.solve(&target)?;
-        loop {
+        for _ in 0..MOST_TRIES {
             let pose = self.true_pose(&joints);
             let low = pose.translation.z - self.instrument.depth_below_wrist(&pose.rotation);
             let missing = self.lowest() - low;
@@ -49,29 +52,37 @@ impl PsmArm {
             target.translation.z += missing;
             joints = self.solve(&target)?;
         }
+        None
     }
 
     /// The joints as sensed after the arm yielded on its way to `end`.
     pub(super) fn joints_where_it_is(&self, end: &[f64; 6]) -> [f64; 6] {
         let base_from_wrist =
-            self.scene_from_base.inv_mul(&self.instrument.posture().world_from_wrist);
-        let seed = std::array::from_fn(|joint| end[joint] + self.offsets[joint]);
+            self.scene_from_true_base.inv_mul(&self.instrument.posture().world_from_wrist);
+        let seed = first(&self.drivetrain.settled(end));
         match self.kinematics.inverse(&base_from_wrist, &seed) {
-            Ok(joints) => std::array::from_fn(|joint| joints[joint] - self.offsets[joint]),
+            Ok(links) => first(&self.drivetrain.encoders(&links)),
             Err(_) => self.joints, // between two poses at a limit: at most a step away
         }
     }
 
+    /// The wrist as sensors have it that report these joints.
     pub(super) fn pose_at(&self, joints: &[f64; 6]) -> Pose {
         self.scene_from_base * self.kinematics.base_from_wrist(joints)
     }
 
-    /// Whether the encoders err, so that the arm is not where they have it.
+    /// Whether the arm is elsewhere than its encoders have it.
     pub(super) fn errs(&self) -> bool {
-        self.offsets != [0.0; 6]
+        self.drivetrain.errs() || self.scene_from_true_base != self.scene_from_base
     }
 
+    /// The true wrist where the true joints are these.
+    pub(super) fn pose_of(&self, links: &[f64; 6]) -> Pose {
+        self.scene_from_true_base * self.kinematics.base_from_wrist(links)
+    }
+
+    /// The true wrist once the arm has come to rest where the encoders say this.
     pub(super) fn true_pose(&self, joints: &[f64; 6]) -> Pose {
-        self.pose_at(&std::array::from_fn(|joint| joints[joint] + self.offsets[joint]))
+        self.pose_of(&first(&self.asked_drivetrain.settled(joints)))
     }
 }
