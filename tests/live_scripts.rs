@@ -3,6 +3,7 @@
 
 use std::collections::BTreeMap;
 
+use trocar_client::proto::dvrk::command::Fault;
 use trocar_client::proto::dvrk::{Command, Event, Report, State, StateCommand, TICKS_PER_SECOND};
 use trocar_client::{OptionValue, Options, SessionRequest};
 use trocar_server::robots::Psm;
@@ -226,6 +227,38 @@ fn a_servoed_jump_faults_an_arm_with_the_errors_of_a_real_one_and_enabling_recov
     script.carry_out("PSM1", &Command::MoveJp(HOME.to_vec()));
     script.advance(TICKS_PER_SECOND as u32);
     assert!(script.arm("PSM1").measured_position[0].abs() < 1e-6);
+}
+
+#[test]
+fn faults_that_are_emulated_are_met_as_real_ones_are() {
+    let server = Server::start();
+    let mut script = Script::new(&server, "NeedlePick-v0");
+    script.enable_and_home("PSM1");
+    let emulate = |script: &mut Script, word: &str| {
+        script.heard.clear();
+        script.send("PSM1", &Command::EmulateFault(Fault::of(word)));
+        script.advance(1);
+    };
+    emulate(&mut script, "stuck_jaw");
+    script.carry_out("PSM1", &Command::jaw_open(0.5));
+    let jaw = script.arm("PSM1").measured_position[6];
+    assert!(jaw.abs() < 0.1 && (script.arm("PSM1").setpoint_position[6] - 0.5).abs() < 1e-9);
+    emulate(&mut script, "none");
+    script.advance(TICKS_PER_SECOND as u32);
+    assert!(script.arm("PSM1").measured_position[6] > jaw + 0.1);
+    emulate(&mut script, "lost_homing");
+    let state = script.state("PSM1");
+    assert!(state.state == State::Enabled && !state.is_homed);
+    script.enable_and_home("PSM1");
+    emulate(&mut script, "fault");
+    assert_eq!(script.state("PSM1").state, State::Fault);
+    script.enable_and_home("PSM1");
+    emulate(&mut script, "smoke");
+    let told: Vec<_> = script.heard.iter().map(|event| format!("{:?}", event.report)).collect();
+    assert!(
+        told.iter().any(|words| words.contains("smoke") && words.contains("stuck_jaw")),
+        "{told:?}"
+    );
 }
 
 /// A move from rest keeps to the arm's limits at every tick, on a straight line of joints that all arrive together; what

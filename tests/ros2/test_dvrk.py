@@ -126,7 +126,7 @@ def test_every_topic_and_service_of_a_da_vinci_is_there(arms: list[Arm]) -> None
     assert not missing(expected, ros.node.get_topic_names_and_types)
     assert not missing(services, ros.node.get_service_names_and_types)
     # And nothing that is not listed, but for what is CRTK's, and what only a simulator knows.
-    crtk = {"servo_jv", "servo_cv", "servo_cr", "move_cr", "goal_js", "goal_cp"}
+    crtk = {"servo_jv", "servo_cv", "servo_cr", "move_cr", "goal_js", "goal_cp", "emulate_fault"}
     more = {
         name
         for name in there(ros.node.get_topic_names_and_types())

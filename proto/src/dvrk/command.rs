@@ -206,6 +206,45 @@ pub enum Command {
     SetToolType(String),
     /// Which endoscope it is: the arm's kinematics follow what is said, whatever there is.
     SetEndoscopeType(String),
+    /// Lets something go wrong with the arm, as a [`Fault`] has it. Trocar has this, no real arm has.
+    EmulateFault(Fault),
+}
+
+/// What can go wrong with an arm, for scripts to be tried with.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Fault {
+    /// Nothing any more: a jaw that was stuck moves again.
+    None,
+    /// The arm faults and loses its power.
+    Fault,
+    /// The zeros of all joints are lost.
+    LostHoming,
+    /// The jaw stays where it is, whatever it is told.
+    StuckJaw,
+    /// A word that is none of these.
+    Unknown(String),
+}
+
+impl Fault {
+    /// All that there are.
+    pub const ALL: [Self; 4] = [Self::None, Self::Fault, Self::LostHoming, Self::StuckJaw];
+
+    /// The fault of a word.
+    pub fn of(word: &str) -> Self {
+        let known = Self::ALL.into_iter().find(|fault| fault.word() == word);
+        known.unwrap_or_else(|| Self::Unknown(word.into()))
+    }
+
+    /// Its word.
+    pub fn word(&self) -> &str {
+        match self {
+            Self::None => "none",
+            Self::Fault => "fault",
+            Self::LostHoming => "lost_homing",
+            Self::StuckJaw => "stuck_jaw",
+            Self::Unknown(word) => word,
+        }
+    }
 }
 
 impl Command {
@@ -259,6 +298,7 @@ impl Command {
             Self::EmulateAdapterPresent(_) => "emulate_adapter_present",
             Self::EmulateToolPresent(_) => "emulate_tool_present",
             Self::SetToolType(_) => "set_tool_type",
+            Self::EmulateFault(_) => "emulate_fault",
             Self::SetEndoscopeType(_) => "set_endoscope_type",
         }
     }

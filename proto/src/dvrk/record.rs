@@ -4,7 +4,7 @@
 
 use bytemuck::{Pod, Zeroable};
 
-use super::command::{Command, Effort, PoseMessage, StateCommand};
+use super::command::{Command, Effort, Fault, PoseMessage, StateCommand};
 use super::report::{Event, Report};
 use super::state::{OperatingState, State};
 use crate::error::{Code, Rejection};
@@ -111,7 +111,7 @@ pub struct CommandRecord {
 const _: () = assert!(size_of::<CommandRecord>() == 472);
 
 /// The topics of commands; a command is sent as its topic's place here, so new ones come last.
-pub const TOPICS: [&str; 31] = [
+pub const TOPICS: [&str; 32] = [
     "state_command",
     "hold",
     "free",
@@ -143,6 +143,7 @@ pub const TOPICS: [&str; 31] = [
     "emulate_tool_present",
     "set_tool_type",
     "set_endoscope_type",
+    "emulate_fault",
 ];
 
 impl CommandRecord {
@@ -186,6 +187,10 @@ impl CommandRecord {
             }
             Command::SetToolType(name) | Command::SetEndoscopeType(name) => {
                 text = name;
+                [&[], &[]]
+            }
+            Command::EmulateFault(fault) => {
+                text = fault.word();
                 [&[], &[]]
             }
         };
@@ -268,6 +273,7 @@ impl Command {
             "emulate_tool_present" => Self::EmulateToolPresent(one()? != 0.0),
             "set_tool_type" => Self::SetToolType(text.into()),
             "set_endoscope_type" => Self::SetEndoscopeType(text.into()),
+            "emulate_fault" => Self::EmulateFault(Fault::of(text)),
             _ => {
                 let allowed = format!("allowed are {}", TOPICS.join(", "));
                 return Err(Rejection::new(Code::InvalidCommand, "topic", topic, allowed));
@@ -567,6 +573,7 @@ mod tests {
             Command::JawMoveJp(vec![]),
             Command::State(StateCommand::Unknown("dance".into())),
             Command::SetToolType("LARGE_NEEDLE_DRIVER:400006".into()),
+            Command::EmulateFault(Fault::StuckJaw),
             Command::EmulateToolPresent(false),
             Command::SetRatio(0.5),
             Command::MoveCp(pose),
@@ -597,7 +604,7 @@ mod tests {
         assert!(refusal.allowed.contains("servo_jp"), "{refusal}");
         // Nor does what a client writes by itself harm.
         let mut record = CommandRecord::new(0, &Command::Hold).unwrap();
-        record.topic = 31;
+        record.topic = 32;
         assert_eq!(record.command().unwrap_err().code, Code::InvalidCommand);
         record.topic = 3;
         record.numbers.counts = [u32::MAX; 2];

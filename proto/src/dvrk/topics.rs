@@ -5,7 +5,7 @@
 
 use self::Arms::{All, Ecm, Psm};
 use self::Direction::{Publishes, Serves, Subscribes};
-use self::Need::{Crtk, Optional, Required};
+use self::Need::{Crtk, Optional, Required, Trocar};
 
 /// Which way messages go, seen from the arm.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -38,6 +38,8 @@ pub enum Need {
     Optional,
     /// CRTK has it, dVRK has not.
     Crtk,
+    /// Trocar has it, no real arm has.
+    Trocar,
 }
 
 /// A topic or service.
@@ -121,6 +123,7 @@ pub const TOPICS: &[Topic] = &[
     topic("servo_cv", TWIST, Subscribes, All, Crtk),
     topic("servo_cr", POSE, Subscribes, All, Crtk),
     topic("move_cr", POSE, Subscribes, All, Crtk),
+    topic("emulate_fault", STRING, Subscribes, All, Trocar),
     topic("operating_state", "crtk_msgs/OperatingState", Publishes, All, Required),
     topic("measured_js", JOINTS, Publishes, All, Required),
     topic("setpoint_js", JOINTS, Publishes, All, Required),

@@ -164,6 +164,8 @@ pub struct ArmController {
     /// The goal of the jaw's latest move, and whether the jaw was servoed since.
     jaw_moved_to: f64,
     is_jaw_servoed: bool,
+    /// Where the jaw is stuck, if it is, rad.
+    stuck_jaw: Option<f64>,
     not_ready: Throttle,
     not_inserted: Throttle,
     needs_dynamics: Throttle,
@@ -205,6 +207,7 @@ impl ArmController {
             history: [position].into_iter().collect(),
             jaw_moved_to: start.get(mechanism.joints()).copied().unwrap_or_default(),
             is_jaw_servoed: false,
+            stuck_jaw: None,
             not_ready: Throttle::default(),
             not_inserted: Throttle::default(),
             needs_dynamics: Throttle::default(),
@@ -248,6 +251,7 @@ impl ArmController {
             Command::EmulateToolPresent(present) => self.emulate_tool(command, *present),
             Command::SetToolType(name) => self.set_tool(command, name),
             Command::SetEndoscopeType(name) => self.set_endoscope(command, name),
+            Command::EmulateFault(fault) => self.emulate_fault(command, fault),
             motion => {
                 if let Err(error) = self.motion_command(motion) {
                     self.emit(What::Error(error));
@@ -269,7 +273,11 @@ impl ArmController {
         if self.history.is_full() {
             self.history.remove(0);
         }
-        let [encoders, mut joints] = self.drivetrain.advance(&self.setpoint.position, TICK);
+        let mut told = self.setpoint.position.clone();
+        if let (Some(jaw), Some(stuck)) = (told.get_mut(self.mechanism.joints()), self.stuck_jaw) {
+            *jaw = stuck;
+        }
+        let [encoders, mut joints] = self.drivetrain.advance(&told, TICK);
         self.history.push(encoders.clone());
         let velocity = match self.mode {
             Mode::Servo { .. } => self.mean_velocity(),

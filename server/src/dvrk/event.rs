@@ -1,6 +1,7 @@
 //! What an arm says besides its state: events, with reasons in words.
 
 use trocar_proto::dvrk::Report;
+use trocar_proto::dvrk::command::Fault;
 
 use super::mechanism::NoSolution;
 use super::state::{OperatingState, State};
@@ -227,6 +228,18 @@ pub enum Error {
         name: String,
         /// The one that is.
         known: &'static str,
+    },
+    /// A client asked for a fault.
+    #[error("emulated fault")]
+    Emulated,
+    /// There is no such fault.
+    #[error(
+        "emulate_fault: \"{word}\" is unknown, allowed are {}",
+        Fault::ALL.map(|fault| fault.word().to_string()).join(", ")
+    )]
+    UnknownFault {
+        /// The word that was given.
+        word: String,
     },
     /// A joint is further from its set-point than it may be.
     #[error(

@@ -104,7 +104,8 @@ impl ArmController {
             | Command::EmulateAdapterPresent(_)
             | Command::EmulateToolPresent(_)
             | Command::SetToolType(_)
-            | Command::SetEndoscopeType(_) => {}
+            | Command::SetEndoscopeType(_)
+            | Command::EmulateFault(_) => {}
         }
         Ok(())
     }

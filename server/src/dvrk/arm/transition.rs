@@ -2,7 +2,7 @@
 
 use super::{ArmController, Mode, Progress, Space, quoted, zeros};
 use crate::dvrk::Homing;
-use crate::dvrk::command::StateCommand;
+use crate::dvrk::command::{Command, Fault, StateCommand};
 use crate::dvrk::event::{Error, Warning, What};
 use crate::dvrk::planner::Trajectory;
 use crate::dvrk::state::State;
@@ -62,6 +62,26 @@ impl ArmController {
         self.emit(What::Error(why));
         self.lose_power(State::Fault);
         self.tell_state();
+    }
+
+    /// Lets something go wrong, so that scripts can be tried with it.
+    pub(super) fn emulate_fault(&mut self, command: &Command, fault: &Fault) {
+        let jaw = self.measured.position.get(self.mechanism.joints()).copied();
+        match (fault, jaw) {
+            (Fault::None, _) => self.stuck_jaw = None,
+            (Fault::Fault, _) => self.fault(Error::Emulated),
+            (Fault::LostHoming, _) => {
+                self.enter(&StateCommand::Unhome);
+                self.tell_state();
+            }
+            (Fault::StuckJaw, Some(_)) => self.stuck_jaw = jaw,
+            (Fault::StuckJaw, None) => {
+                self.emit(What::Error(Error::NotOnThisArm { command: command.topic() }));
+            }
+            (Fault::Unknown(word), _) => {
+                self.emit(What::Error(Error::UnknownFault { word: quoted(word) }));
+            }
+        }
     }
 
     /// Stays where it is.

@@ -1,6 +1,7 @@
 //! 100,000 commands of all kinds, most of them nonsense: nothing panics, and what always holds holds.
 
 use super::*;
+use crate::dvrk::command::Fault;
 use crate::dvrk::{Effort, State};
 
 const COMMANDS: usize = 100_000;
@@ -78,7 +79,9 @@ pub(super) fn command(rng: &mut Rng, mechanism: &Mechanism) -> Command {
             1 => Command::EmulateAdapterPresent(rng.index(2) == 0),
             _ => Command::EmulateToolPresent(true),
         },
-        _ => match rng.index(4) {
+        _ => match rng.index(6) {
+            4 => Command::EmulateFault(Fault::ALL[rng.index(4)].clone()),
+            5 => Command::EmulateFault(Fault::of("é")),
             0 => Command::SetToolType("LARGE_NEEDLE_DRIVER:400006".into()),
             1 => Command::SetToolType("x".repeat(100_000)),
             2 => Command::SetEndoscopeType("Classic_HD_DOWN".into()),
