@@ -6,6 +6,7 @@ import json
 import math
 import sys
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -29,7 +30,7 @@ from trocar.dvrk.deploy.observation import Layout, Reading
 from trocar.dvrk.deploy.paired import difference
 from trocar.dvrk.deploy.robot import LiveRobot, named
 from trocar.dvrk.deploy.sources import Function, Topics
-from trocar.errors import InvalidOption, InvalidRequest, Unsupported
+from trocar.errors import InvalidOption, InvalidRequest, TrocarError, Unsupported
 
 
 def still(seen: Any) -> Any:
@@ -490,7 +491,10 @@ def test_the_packages_that_are_installed_reach_the_arms(
     goal = [0.55, 0.0, 0.71]
     source = Topics(robot, Layout(pick), goal)
     before = robot.arms["PSM1"].measured_cp()[0].p
+    other = replace(pick, arms=("PSM1", "PSM2"))
     try:
+        with pytest.raises(TrocarError, match="timed out waiting for PSM2"):
+            installed(other)
         episode = run(pick, robot, lambda _: [1.0, 0.0, 0.0, 0.0, -1.0], source=source)
         moved = robot.arms["PSM1"].measured_cp()[0].p - before
     finally:

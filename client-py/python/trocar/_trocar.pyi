@@ -19,6 +19,7 @@ __all__ = [
     "TASKS",
     "Client",
     "Element",
+    "GoalPart",
     "ImageSpec",
     "LiveWorld",
     "Network",

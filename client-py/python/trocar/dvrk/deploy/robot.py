@@ -21,7 +21,7 @@ from trocar.dvrk import crtk as own_crtk
 from trocar.dvrk.deploy.geometry import Numbers, Pose
 from trocar.dvrk.deploy.policy import function
 from trocar.dvrk.deploy.task import Task
-from trocar.errors import InvalidRequest, Unsupported, refuse
+from trocar.errors import InvalidRequest, TrocarError, Unsupported, refuse
 
 try:
     import PyKDL as kdl  # noqa: N813
@@ -150,6 +150,9 @@ class LiveRobot(Robot):
         self.world.close()
 
 
+PATIENCE = 5.0
+"""How long topics of a robot may take to be there, s."""
+
 PICTURE = (240, 240)
 """Height and width of pictures, pixels: square, as those are that the endoscope's tasks tell of."""
 
@@ -185,6 +188,7 @@ def installed(task: Task, frames: Mapping[str, Pose] | None = None) -> Robot:
 
     Raises:
         trocar.errors.Unsupported: A package is missing.
+        trocar.errors.TrocarError: A topic of the arms is missing; it is named.
     """
     try:
         crtk, dvrk, found = (import_module(name) for name in ("crtk", "dvrk", "PyKDL"))
@@ -197,6 +201,10 @@ def installed(task: Task, frames: Mapping[str, Pose] | None = None) -> Robot:
     ral = crtk.ral("trocar_deploy")
     made = {name: (dvrk.ecm if name == "ECM" else dvrk.psm)(ral, name) for name in task.arms}
     ral.spin()
+    try:
+        ral.check_connections(PATIENCE)
+    except TimeoutError as error:
+        raise TrocarError(f"robot = 'installed': {error}") from error
     return Robot(ral, made, found, frames, crtk.utils)
 
 
