@@ -142,7 +142,8 @@ export class Theatre {
   #material({ colour, metallic, roughness }, isGoal, isPainted) {
     const key = [...colour, metallic, roughness, isGoal, isPainted].join();
     if (!this.#materials.has(key)) {
-      const color = new Color().setRGB(...colour);
+      // Vertices that have colours have all of it.
+      const color = isPainted ? new Color(0xffffff) : new Color().setRGB(...colour);
       const material = new MeshStandardMaterial({ color, metalness: metallic, roughness, vertexColors: isPainted });
       if (isGoal) {
         material.emissive = color;
