@@ -17,6 +17,7 @@ use super::project::Faces;
 use super::raster::{self, LANES, Shown};
 use super::scene::Scene;
 use super::shadow::ShadowMap;
+use super::tissue::Paint;
 
 /// Numbers of eight pixels.
 type Eight = f32x8;
@@ -98,19 +99,28 @@ impl<'a> Shader<'a> {
     /// The surfaces that eight pixels show.
     fn surface(&self, shown: &Shown) -> Surface {
         let mut surface = Surface::NONE;
+        let mut painted = None;
         let mut left = shown.faces;
         // Few pixels side by side show more than two or three faces.
         while let Some(number) = left.into_iter().find(|number| *number > 0) {
             let pixels = raster::mask(shown.faces.map(|face| face == number));
-            self.add_surface(&mut surface, shown, pixels, number - 1);
+            self.add_surface(&mut surface, &mut painted, shown, pixels, number - 1);
             left = left.map(|shown| if shown == number { 0 } else { shown });
         }
+        self.add_paint(&mut surface, shown, painted.as_ref());
         surface.normal = unit(surface.normal);
         surface
     }
 
     /// Adds what a face is where `pixels` show it; its normal is not yet of length 1.
-    fn add_surface(&self, surface: &mut Surface, shown: &Shown, pixels: Eight, face: u32) {
+    fn add_surface(
+        &self,
+        surface: &mut Surface,
+        painted: &mut Option<PaintedPixels<'a>>,
+        shown: &Shown,
+        pixels: Eight,
+        face: u32,
+    ) {
         let face = &self.faces.faces[face as usize];
         let scale = shown.depth * Eight::splat(face.over_area);
         let normals = face.vertices.map(|vertex| self.faces.normals[vertex as usize]);
@@ -121,15 +131,18 @@ impl<'a> Shader<'a> {
         });
         let instance = &self.scene.instances()[face.instance as usize];
         let material = &instance.material;
-        let painted = instance.paint.as_ref().zip(self.faces.rest_of(face)).map(|(paint, rest)| {
-            let rest: Triple = std::array::from_fn(|axis| {
+        if let Some((paint, rest)) = instance.paint.as_ref().zip(self.faces.rest_of(face)) {
+            if painted.as_ref().is_some_and(|before| before.instance != face.instance) {
+                self.add_paint(surface, shown, painted.take().as_ref());
+            }
+            let new = || PaintedPixels::none(paint, face.instance);
+            let painted = painted.get_or_insert_with(new);
+            painted.pixels |= pixels;
+            for (axis, sum) in painted.rest.iter_mut().enumerate() {
                 let of = |corner: usize| Eight::splat(rest[corner][axis]) * weights[corner];
-                of(0) + of(1) + of(2)
-            });
-            let nearest = pixels.bitselect(shown.depth, Eight::splat(f32::MAX)).to_array();
-            let depth = nearest.into_iter().fold(f32::MAX, f32::min);
-            paint.at(rest, depth * self.width)
-        });
+                *sum |= pixels & (of(0) + of(1) + of(2));
+            }
+        }
         for (axis, sum) in surface.normal.iter_mut().enumerate() {
             let of = |corner: usize| Eight::splat(normals[corner][axis]) * weights[corner];
             *sum |= pixels & (of(0) + of(1) + of(2));
@@ -138,17 +151,24 @@ impl<'a> Shader<'a> {
             *sum |= pixels & Eight::splat(colour);
         }
         surface.metallic |= pixels & Eight::splat(material.metallic);
-        let mut roughness = Eight::splat(material.roughness);
-        if let Some(painted) = painted {
-            for (sum, factor) in surface.colour.iter_mut().zip(painted.colour) {
-                *sum = pixels.bitselect(*sum * factor, *sum);
-            }
-            for (sum, tilt) in surface.normal.iter_mut().zip(painted.tilt) {
-                *sum = pixels.bitselect(*sum + tilt, *sum);
-            }
-            roughness *= painted.roughness;
+        surface.roughness |= pixels & Eight::splat(material.roughness);
+    }
+
+    /// Adds what lies on the colour of tissue.
+    fn add_paint(&self, surface: &mut Surface, shown: &Shown, painted: Option<&PaintedPixels<'_>>) {
+        let Some(PaintedPixels { paint, pixels, rest, .. }) = painted else { return };
+        let (pixels, rest) = (*pixels, *rest);
+        let depths = pixels.bitselect(shown.depth, Eight::splat(f32::MAX)).to_array();
+        let nearest = depths.into_iter().fold(f32::MAX, f32::min);
+        let found = paint.at(rest, nearest * self.width);
+        for (sum, factor) in surface.colour.iter_mut().zip(found.colour) {
+            *sum = pixels.bitselect(*sum * factor, *sum);
         }
-        surface.roughness |= pixels & roughness;
+        for (sum, tilt) in surface.normal.iter_mut().zip(found.tilt) {
+            *sum = pixels.bitselect(*sum + tilt, *sum);
+        }
+        let rough = surface.roughness;
+        surface.roughness = pixels.bitselect(rough * found.roughness, rough);
     }
 
     fn lit(&self, surface: &Surface, ray: &Triple, place: Triple) -> Triple {
@@ -254,6 +274,22 @@ impl<'a> Shader<'a> {
             let sky = number(light.sky[channel] * 1.5);
             ground + (sky - ground) * rise + field * glow * number(light.lamp[channel])
         })
+    }
+}
+
+/// Those of eight pixels that show tissue.
+struct PaintedPixels<'a> {
+    paint: &'a Paint,
+    instance: u32,
+    pixels: Eight,
+    /// Where that is in the body at rest, m.
+    rest: Triple,
+}
+
+impl<'a> PaintedPixels<'a> {
+    fn none(paint: &'a Paint, instance: u32) -> Self {
+        let zero = Eight::new([0.0; LANES]);
+        Self { paint, instance, pixels: zero, rest: [zero; 3] }
     }
 }
 

@@ -58,23 +58,23 @@ impl Texture {
     /// What is at eight places, in texels of the largest cube, as a cube shows it whose texels are 2^`level` times as large:
     /// linear between the middles of texels.
     pub(super) fn at(&self, place: [f32x8; 3], level: usize) -> Texels {
-        let edge = EDGE >> level;
         let shrunk = 1.0 / (1 << level) as f32;
         let place = place.map(|at| at * f32x8::splat(shrunk) + f32x8::splat(ABOVE - 0.5));
         let cell = place.map(f32x8::fast_trunc_int);
         let part: [f32x8; 3] = std::array::from_fn(|axis| place[axis] - cell[axis].round_float());
-        let cell = cell.map(|cell| cell.to_array().map(|at| at as usize));
+        // The edge of each cube is a power of two.
+        let bits = EDGE.trailing_zeros() as i32 - level as i32;
+        let last = i32x8::splat((1 << bits) - 1);
+        let [x, y, z] = [0, 1, 2].map(|axis: usize| {
+            let next = cell[axis] + i32x8::splat(1);
+            [cell[axis], next].map(|at| (at & last) << (bits * axis as i32))
+        });
         let texels = &self.0[level];
-        let mut corners = [[0; LANES]; 8];
-        for lane in 0..LANES {
-            let [x, y, z] = [0, 1, 2].map(|axis: usize| {
-                let low = cell[axis][lane] % edge;
-                [low, (low + 1) % edge].map(|at| at * edge.pow(axis as u32))
-            });
-            for (number, corner) in corners.iter_mut().enumerate() {
-                corner[lane] = texels[x[number & 1] + y[number >> 1 & 1] + z[number >> 2]] as i32;
-            }
-        }
+        let within = texels.len() - 1;
+        let corners: [[i32; LANES]; 8] = std::array::from_fn(|corner| {
+            let index = x[corner & 1] + y[corner >> 1 & 1] + z[corner >> 2];
+            index.to_array().map(|index| texels[index as usize & within] as i32)
+        });
         let corners = corners.map(i32x8::new);
         let byte = |low: i32| {
             let bytes = i32x8::splat(0xff);
