@@ -58,10 +58,14 @@ demo: $(VENV)/ready ## * one server, a Rust and two Python clients at once; a ta
 
 # Also what `every_task_looks_as_it_did` expects.
 .PHONY: pictures
-pictures: ## assets/pictures: every task, for the README and the tests; needle_pick.gif; every policy at work
+pictures: ## assets/pictures: every task, also in both looks; needle_pick.gif; every policy at work
 	$(CARGO) build --release --locked -p trocar
 	$(TARGET)/release/trocar render --each assets/pictures
 	$(TARGET)/release/trocar render --task NeedlePick-v0 --out assets/pictures/needle_pick.gif
+	for look in bench cavity; do \
+		$(TARGET)/release/trocar render --look $$look --camera endoscope --moments 2 --size 160x120 \
+			--out assets/pictures/$$look.png; \
+	done
 	for policy in assets/policies/*.onnx; do \
 		name=$$(basename $$policy .onnx); \
 		$(TARGET)/release/trocar render --policy $$policy --seed 0 --seconds 8 --fps 5 --size 160x120 \
