@@ -12,7 +12,19 @@ import pytest
 from mujoco_twin.__main__ import EXPERTS
 from mujoco_twin.arm import TICK
 from mujoco_twin.cables import Cables
-from mujoco_twin.contact import GRAVITY
+from mujoco_twin.contact import (
+    CONE,
+    FINGER_CONDIM,
+    FINGER_TORSION,
+    GRAVITY,
+    IMPRATIO,
+    INTEGRATOR,
+    NOSLIP_ITERATIONS,
+    SOLIMP,
+    SOLREF,
+    TIMESTEP,
+    TOLERANCE,
+)
 from mujoco_twin.kinematics import Kinematics, Pose, rotate
 from mujoco_twin.model import LEVER, TIP_OFFSET, Numbers, build
 from mujoco_twin.robot import TwinRobot
@@ -128,6 +140,36 @@ def test_a_needle_that_is_held_does_not_creep() -> None:
     twin.advance(240)
     assert twin.object("needle")[:3] == pytest.approx(before[:3], abs=10e-6)
     assert twin.object("needle")[2] - NEEDLE[2] == pytest.approx(0.03, abs=0.2e-3)
+
+
+@pytest.mark.parametrize(("share", "turns"), [(0.2, False), (0.9, False), (1.2, True)])
+def test_a_plate_between_two_points_turns_where_the_torque_is_more_than_their_areas_bear(
+    share: float, turns: bool
+) -> None:
+    """Two balls press with 1 N each on a plate of a needle's mass and inertia."""
+    slide = """<body pos="{at} 0 0"><joint name="{name}" type="slide" axis="{to} 0 0"/>
+        <geom size="1e-3" mass="0.01" friction="1 {torsion} 0" condim="{condim}"/></body>"""
+    balls = [
+        slide.format(at=at, name=name, to=to, torsion=FINGER_TORSION, condim=FINGER_CONDIM)
+        for at, name, to in ((-1.5e-3, "left", 1), (1.5e-3, "right", -1))
+    ]
+    solimp = " ".join(map(str, SOLIMP))
+    model = mujoco.MjModel.from_xml_string(f"""<mujoco>
+        <option timestep="{TIMESTEP}" integrator="{INTEGRATOR}" cone="{CONE}" impratio="{IMPRATIO}"
+            tolerance="{TOLERANCE}" noslip_iterations="{NOSLIP_ITERATIONS}" gravity="0 0 0"/>
+        <default><geom solref="{SOLREF[0]} {SOLREF[1]}" solimp="{solimp}"/></default>
+        <worldbody>{"".join(balls)}<body name="plate"><freejoint/>
+            <inertial pos="0 0 0" mass="3.6e-4" diaginertia="7e-8 7e-8 7e-8"/>
+            <geom type="box" size="5e-4 0.01 0.01" friction="1 0 0"/></body></worldbody>
+        <actuator><motor joint="left"/><motor joint="right"/></actuator></mujoco>""")
+    data = mujoco.MjData(model)
+    data.ctrl[:] = 1.0
+    mujoco.mj_step(model, data, nstep=240)
+    data.body("plate").xfrc_applied[3] = share * 2.0 * FINGER_TORSION
+    mujoco.mj_step(model, data, nstep=2400)
+    turned = 2.0 * np.arccos(min(abs(data.body("plate").xquat[0]), 1.0))
+    assert (turned > 0.1) == turns
+    assert turns or turned < 2e-3
 
 
 @pytest.mark.parametrize(("share", "holds"), [(0.95, True), (1.05, False)])
