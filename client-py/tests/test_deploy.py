@@ -271,6 +271,10 @@ def test_a_wild_policy_stays_within_the_box_and_the_step(pick: Task, robot: Live
     assert np.linalg.norm(way, axis=1).max() < 0.004 + 1e-9
     assert (np.array(places) >= low - 1e-9).all()
     assert (np.array(places) <= high + 1e-9).all()
+    assert pick.with_floor(0.7).lowest == {"PSM1": 0.7}
+    places.clear()
+    run(pick.with_floor(0.7), robot, wild, max_steps=20)
+    assert min(place[2] for place in places) == pytest.approx(0.7102, abs=1e-6)
 
 
 # ---- What is wrong is named, and the arm holds ----

@@ -121,6 +121,12 @@ def parser() -> argparse.ArgumentParser:
         help="where wrists may be sent: two corners in the scene, m (the task's)",
     )
     parser.add_argument(
+        "--floor",
+        type=float,
+        metavar="Z",
+        help="lowest height of tips in the scene, m (the task's)",
+    )
+    parser.add_argument(
         "--log", type=Path, metavar="FOLDER", help="write a file of each episode there"
     )
     parser.add_argument("--plot", action="store_true", help="draw each file of --log")
@@ -203,6 +209,7 @@ def made(given: argparse.Namespace, told: Any) -> Runner:
     limits = Limits(**chosen, box=given.box)
     wanted = {**policy.options, **options(given.option)}
     task = Task.open(str(given.task or policy.task), server=given.server, **wanted)
+    task = task if given.floor is None else task.with_floor(given.floor)
     policy.check(task.spec)
     layout = Layout(task)
     robot = robots.named(given.robot, task, frames(given.frame), given.server, given.speed)

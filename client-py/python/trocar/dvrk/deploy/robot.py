@@ -153,8 +153,8 @@ class LiveRobot(Robot):
 PATIENCE = 5.0
 """How long topics of a robot may take to be there, s."""
 
-PICTURE = (240, 240)
-"""Height and width of pictures, pixels: square, as those are that the endoscope's tasks tell of."""
+MONO, STEREO = (128, 128), (240, 240)
+"""Height and width of pictures, pixels: of the endoscope's own tasks, and of pairs."""
 
 IMAGE = ("target in view", "target image x", "target image y")
 
@@ -167,14 +167,14 @@ def live(task: Task, *, server: str | None = None, speed: float | None = None) -
         server: Name of the server; ``None`` for ``$TROCAR_SERVER``, else a private one.
         speed: How many times as fast as life; ``None`` for lock-step.
     """
-    view = {"camera": "endoscope", "image_size": PICTURE}
+    view = {"camera": "endoscope", "image_size": MONO}
     world = World(
         task.spec.id,
         server=server,
         speed=speed,
         options=task.options,
         homing="in_place",
-        view=view if task.moves_camera else view | {"camera": "stereo"},
+        view=view if task.moves_camera else {"camera": "stereo", "image_size": STEREO},
     )
     return LiveRobot(world, task)
 

@@ -7,7 +7,7 @@ is measured in a live world: where places are on objects, how low jaws may go, w
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -71,6 +71,10 @@ class Task:
             return _described(world, options)
         finally:
             world.close()
+
+    def with_floor(self, height: float) -> Task:
+        """The same, where tips may go down to a height, m, scene frame."""
+        return replace(self, lowest=dict.fromkeys(self.lowest, height))
 
     @property
     def numbers(self) -> int:
