@@ -79,6 +79,7 @@ policies: .venv-rl/ready ## * assets/policies: the best policies of the runs in 
 	$(RL_BIN)/python -m trocar.rl best $(RUNS) --out assets/policies
 
 # What `experts_do_as_well_as_the_table_says_and_stay_in_bounds` expects.
+# TROCAR_TASK=NeedlePick-v0: only its rows.
 .PHONY: experts
 experts: ## server/tests/fixtures/experts.tsv: with which seeds the scripted experts fail
 	TROCAR_WRITE_EXPERTS=1 $(CARGO) test $(RUST) --test server experts::
@@ -113,7 +114,8 @@ wheels: $(VENV)/ready ## * dist/: the wheels trocar (client) and trocar-server (
 experts-table: ## how often the scripted experts succeed with arms that are late, disturbed or wrong
 	$(CARGO) run --release --locked -p trocar-server --example experts -- --threads $$(nproc) --seeds $${SEEDS:-0..40}
 
-# TROCAR_BITS=starts: only the episodes whose start is the expert's work; =tasks: only those of tasks that are new.
+# TROCAR_BITS=starts: only the episodes whose start is the expert's work; =tasks: only those of tasks that are new;
+# =tissue: those of tasks with tissue.
 .PHONY: bits
 bits: ## server/tests/fixtures/bits.bin: records its episodes anew; only when physics changes on purpose
 	TROCAR_BITS=$${TROCAR_BITS:-all} $(CARGO) test $(RUST) --test server -- --ignored --exact bits::write_the_file

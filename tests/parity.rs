@@ -74,11 +74,16 @@ fn every_task_and_option_has_the_same_bits_in_process_and_through_a_session() {
     }
 }
 
-/// How many environments keep each other company: 64, but fewer where they grasp, which takes long.
+/// How many environments keep each other company: 64, but fewer where they grasp or handle tissue, which takes long.
 fn company(task: &str) -> usize {
     let spec = Registry::builtin().spec(task, &Options::new()).unwrap();
     let grasps = spec.options.iter().any(|option| option.name == "grasp");
-    if grasps && !soak() { 8 } else { 64 }
+    let is_tissue = Registry::builtin().tagged("tissue").any(|tissue| tissue == task);
+    match (soak(), is_tissue, grasps) {
+        (false, true, _) => 2,
+        (false, false, true) => 8,
+        _ => 64,
+    }
 }
 
 /// The first processor that this process may use.

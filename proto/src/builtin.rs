@@ -23,9 +23,10 @@ impl TaskInfo {
 }
 
 /// The tags that Trocar's own tasks have, and what they mean.
-pub const TAGS: [(&str, &str); 5] = [
+pub const TAGS: [(&str, &str); 6] = [
     ("psm", "moves instruments"),
     ("grasp", "an object is held in the jaws"),
+    ("tissue", "what is held is soft"),
     ("bimanual", "two arms work together"),
     ("camera", "moves the endoscope"),
     ("endless", "has no goal: its reward is a function of the state"),
@@ -78,6 +79,10 @@ builtin! {
         50 at PSM_HERTZ, ["psm", "grasp"];
     CYLINDER_REACH: "CylinderReach-v0", "Move the closed jaw tip to a point just above a standing cylinder.",
         50 at PSM_HERTZ, ["psm"];
+    TISSUE_RETRACT: "TissueRetract-v0", "Lift the edge of a sheet of fat and expose what lies under it.",
+        60 at PSM_HERTZ, ["psm", "tissue"];
+    TISSUE_POINT: "TissuePoint-v0", "Bring a marked point of a sheet of fat to a place.",
+        60 at PSM_HERTZ, ["psm", "tissue"];
 }
 
 #[cfg(test)]

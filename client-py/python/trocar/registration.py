@@ -18,7 +18,7 @@ RATES = {task: int(hertz) for task, (_, hertz, _) in _trocar.TASKS.items()}
 """Nominal rates of the tasks, Hz."""
 
 TAGS = {task: frozenset(tags) for task, (_, _, tags) in _trocar.TASKS.items()}
-"""What kind of task each is: ``psm``, ``grasp``, ``bimanual``, ``camera``, ``endless``."""
+"""The kind of each task: ``psm``, ``grasp``, ``tissue``, ``bimanual``, ``camera``, ``endless``."""
 
 
 def register_all(server: str | None = None) -> list[str]:

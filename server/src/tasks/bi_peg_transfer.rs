@@ -130,7 +130,7 @@ use super::{Arms, Registered, State, Task};
 use crate::render::Scene;
 use crate::sim::frames::{Aabb, Pose};
 use crate::sim::grasp::{Grasp, GraspMode};
-use crate::sim::instrument::{JAW_OPEN, TIP_OFFSET};
+use crate::sim::instrument::{JAW_OPEN, Jaws, TIP_OFFSET};
 use crate::sim::random::Rng;
 use crate::sim::world::{BodyId, World};
 
@@ -206,8 +206,8 @@ impl Registered for BiPegTransfer {
             let y = [workspace.max.y, workspace.min.y][arm];
             let start = [workspace.min.x, y, workspace.max.z + TIP_OFFSET];
             let start = psm_scene::straight_down(start);
-            let station =
-                Station { arm, workspace, start, support: PegBoard::top(), squeeze: None };
+            let (support, jaws) = (PegBoard::top(), Jaws::NEEDLE_DRIVER);
+            let station = Station { arm, workspace, start, support, squeeze: None, jaws };
             PsmArm::insert(&mut world, options, paper, station)
         };
         let task = Self {

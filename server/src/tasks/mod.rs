@@ -12,6 +12,8 @@
 //! | [`mis_orient`] | the endoscope is rolled until its picture is level |
 //! | [`static_track`] | the endoscope centres a cube among others |
 //! | [`active_track`] | the endoscope follows a moving cube |
+//! | [`tissue_retract`] | a PSM lifts the edge of a sheet of fat and exposes what lies under it |
+//! | [`tissue_point`] | a PSM brings a marked point of a sheet of fat to a place |
 //!
 //! `assignment.rs` reads options that are texts. A task of one's own implements [`Task`] and [`Registered`], and is added
 //! by [`Registry::register`](crate::Registry::register).
@@ -47,6 +49,7 @@ pub mod cylinder_reach;
 pub mod ecm_reach;
 pub mod ecm_scene;
 pub mod expert;
+pub mod exposure;
 pub mod gauze;
 pub mod gauze_retrieve;
 pub mod goal;
@@ -74,6 +77,10 @@ pub mod state;
 pub mod static_track;
 pub mod theatre;
 pub(crate) mod time;
+pub mod tissue;
+pub mod tissue_point;
+pub mod tissue_retract;
+pub mod tissue_task;
 pub mod track;
 pub mod tray;
 
@@ -269,5 +276,7 @@ pub(crate) fn all() -> Vec<Entry> {
         Entry::of::<active_track::ActiveTrack>(),
         Entry::of::<cylinder_pick::CylinderPick>(),
         Entry::of::<cylinder_reach::CylinderReach>(),
+        Entry::of::<tissue_retract::TissueRetract>(),
+        Entry::of::<tissue_point::TissuePoint>(),
     ]
 }

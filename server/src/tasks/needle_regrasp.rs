@@ -131,7 +131,7 @@ use super::{goal, objects};
 use crate::render::Scene;
 use crate::sim::frames::{self, Aabb, Pose};
 use crate::sim::grasp::{Grasp, GraspMode};
-use crate::sim::instrument::{JAW_OPEN, TIP_OFFSET};
+use crate::sim::instrument::{JAW_OPEN, Jaws, TIP_OFFSET};
 use crate::sim::random::Rng;
 use crate::sim::world::{BodyId, World};
 
@@ -222,7 +222,8 @@ impl Registered for NeedleRegrasp {
             let at = workspace.centre() + Vector3::z() * TIP_OFFSET;
             let start = Pose::from_parts(at.into(), pitched(arm, START_PITCH));
             let (support, squeeze) = (tray::pad().max.z, Some(SQUEEZE));
-            let station = Station { arm, workspace, start, support, squeeze };
+            let station =
+                Station { arm, workspace, start, support, squeeze, jaws: Jaws::NEEDLE_DRIVER };
             PsmArm::insert(&mut world, options, paper, station)
         };
         let task = Self {

@@ -53,10 +53,12 @@ use crate::render::{Jaws, Scene};
 use crate::robots::{ArmModel, Axes, Drivetrain, Psm};
 use crate::sim::frames::{self, Aabb, Pose};
 use crate::sim::grasp::Grasp;
-use crate::sim::instrument::{self, Instrument, JAW_CLOSED, JAW_OPEN, Posture, TIP_OFFSET};
+use crate::sim::instrument::{
+    self, Instrument, JAW_CLOSED, JAW_OPEN, Jaws as Fingers, Posture, TIP_OFFSET,
+};
 use crate::sim::motion::{Arrival, Profile};
 use crate::sim::random::Rng;
-use crate::sim::world::{BodyId, World};
+use crate::sim::world::{BodyId, SoftId, World};
 
 mod action;
 mod driven;
@@ -164,12 +166,16 @@ pub struct Station {
     pub support: f64,
     /// Force with which each finger squeezes under `preset = "paper"`, N; [`SQUEEZE`] where none is given.
     pub squeeze: Option<f64>,
+    /// What it has at the end of its wrist.
+    pub jaws: Fingers,
 }
 
 impl Station {
     /// PSM1 in [`WORKSPACE`], the wrist at `start` (m), jaws straight down.
     pub fn psm1(start: [f64; 3], support: f64) -> Self {
-        Self { arm: 0, workspace: WORKSPACE, start: straight_down(start), support, squeeze: None }
+        let jaws = Fingers::NEEDLE_DRIVER;
+        let start = straight_down(start);
+        Self { arm: 0, workspace: WORKSPACE, start, support, squeeze: None, jaws }
     }
 }
 
@@ -284,7 +290,7 @@ impl PsmArm {
             middle: station.workspace.centre().into(),
             support: station.support,
             give: 0.0,
-            instrument: Instrument::insert(
+            instrument: Instrument::with_jaws(
                 world,
                 Posture { world_from_wrist: start, jaw: JAW_CLOSED },
                 match options::preset_of(options) {
@@ -292,6 +298,7 @@ impl PsmArm {
                     Preset::Paper => station.squeeze.unwrap_or(SQUEEZE),
                     Preset::Surrol => SQUEEZE_HEAVY,
                 },
+                station.jaws,
             ),
             joints: [0.0, 0.0, 0.1, 0.0, 0.0, 0.0],
             drivetrain: Drivetrain::new([0.0; 7]),
@@ -505,6 +512,21 @@ impl PsmArm {
     /// Whether both fingers press on `object`.
     pub fn holds(&self, world: &World, object: BodyId) -> bool {
         self.instrument.holds(world, object)
+    }
+
+    /// How many of its fingers press on a soft body.
+    pub fn fingers_on(&self, world: &World, soft: SoftId) -> usize {
+        self.instrument.fingers_on(world, soft)
+    }
+
+    /// The force of a soft body on both fingers together, N, friction included.
+    pub fn pull_of(&self, world: &World, soft: SoftId) -> Vector3<f64> {
+        self.instrument.force_of(world, soft)
+    }
+
+    /// How hard everything together presses on each finger, N.
+    pub fn pressures(&self, world: &World) -> [f64; 2] {
+        self.instrument.pressures(world)
     }
 
     /// How often the arm is commanded.

@@ -198,6 +198,14 @@ impl<const ARMS: usize> Grasping<'_, ARMS> {
 }
 
 impl List {
+    /// A number of the state as a part of its range.
+    fn part(&mut self, to: usize, element: &Element) {
+        let from = Place::Fixed([0.5 * (element.min + element.max); 3]);
+        let scale = 0.5 * (element.max - element.min);
+        let rule = Rule::Offset { to: Place::At(to), from, count: 1, scale, bound: Bound::Clip };
+        self.add(&element.name, rule);
+    }
+
     /// Where a wrist is, and how it is turned.
     fn wrist(&mut self, name: &impl Fn(&str) -> String, at: usize, arm: &PsmArm) {
         self.place(&name("wrist"), at, &arm.reach().centre(), FAR);
@@ -218,6 +226,36 @@ pub(super) fn reaching(arm: &PsmArm, preset: Preset) -> Relative {
     list.wrist(&|what| what.into(), 0, arm);
     list.offset("goal from tip", Place::At(desired), list.tip(0), &[FAR]);
     list.goal(PsmArm::OBSERVED);
+    list.done()
+}
+
+/// The features of a task that brings a `point` of a sheet somewhere. Its state has the point, that less the wrist's, so many
+/// points of the sheet and other numbers, told as parts of their range; its goal of `goal_dim` numbers begins with the
+/// point's place.
+pub(super) fn handling(
+    arm: &PsmArm,
+    points: usize,
+    point: &str,
+    state: &[Element],
+    goal_dim: usize,
+) -> Relative {
+    let mut list = List::new("scene", Preset::Paper);
+    let at = PsmArm::OBSERVED;
+    let (first, achieved) = (at + 6, state.len());
+    let tip = list.tip(0);
+    list.wrist(&|what| what.into(), 0, arm);
+    list.jaw("jaw", JAW);
+    list.offset(&format!("{point} from tip"), Place::At(at), tip, &[FAR, NEAR[0], NEAR[2]]);
+    for index in 0..points {
+        let name = format!("sheet {} from tip", index + 1);
+        list.offset(&name, Place::At(first + 3 * index), tip, &[FAR]);
+    }
+    for (to, element) in state.iter().enumerate().skip(first + 3 * points) {
+        list.part(to, element);
+    }
+    let (to, from) = (Place::At(achieved + goal_dim), Place::At(achieved));
+    list.offset("goal from tip", to, tip, &[FAR]);
+    list.offset("goal from achieved", to, from, &[FAR, NEAR[0], NEAR[1]]);
     list.done()
 }
 
@@ -246,11 +284,7 @@ pub(super) fn looking(
         if turns.iter().any(|at| (*at..at + 3).contains(&to)) {
             continue;
         }
-        let from = Place::Fixed([0.5 * (element.min + element.max); 3]);
-        let scale = 0.5 * (element.max - element.min);
-        let (to, bound) = (Place::At(to), Bound::Clip);
-        let rule = Rule::Offset { to, from, count: 1, scale, bound };
-        list.add(&element.name, rule);
+        list.part(to, element);
     }
     let achieved = state.len();
     for (index, scale) in scales.iter().enumerate() {

@@ -140,9 +140,19 @@ impl Skin {
         Self { vertices, rest: Arc::new(rest), fine, coarse, spacing: spacing as f32 }
     }
 
+    /// Its triangles, which index vertices; counter-clockwise from outside.
+    pub fn triangles(&self) -> &[[u32; 3]] {
+        &self.rest.triangles
+    }
+
+    /// Where its vertices are, m.
+    pub fn points(&self, lattice: &Lattice) -> Vec<Point3<f64>> {
+        self.vertices.iter().map(|place| lattice.point(place)).collect()
+    }
+
     /// Where its vertices are, m, with their normals.
     pub fn surface(&self, lattice: &Lattice) -> (Vec<Point3<f64>>, Vec<Vector3<f64>>) {
-        let points: Vec<_> = self.vertices.iter().map(|place| lattice.point(place)).collect();
+        let points = self.points(lattice);
         let mut normals = vec![Vector3::zeros(); points.len()];
         for [a, b, c] in self.rest.triangles.iter().map(|each| each.map(|vertex| vertex as usize)) {
             // Twice the area as its length: large triangles count more.

@@ -89,6 +89,9 @@ impl JawMotor {
     /// The angles to which fingers turn that are at these angles, rad.
     pub fn targets(&self, [left, right]: [f64; 2]) -> [f64; 2] {
         let (opening, aside) = (0.5 * (left + right), 0.5 * (left - right));
+        if !opening.is_finite() {
+            return [left, right]; // the step fails by name
+        }
         // Closed fingers lie on each other: nothing closes them further.
         let least = if opening < 0.0 { 0.0 } else { opening - self.deflection };
         let most = (opening + self.deflection).max(least);

@@ -55,6 +55,13 @@ pub fn friction_row() -> RowSpec {
     range_row("friction", "Friction coefficient of the jaws; 1 where none is given.", 0.1, 2.0)
 }
 
+/// The rows of `domain` of tasks with tissue, whose Young's modulus may be from `min` to `max`, Pa.
+pub fn tissue_rows([min, max]: [f64; 2]) -> [RowSpec; 2] {
+    let modulus = "Young's modulus of the tissue, Pa; 5000 where none is given.";
+    let friction = "Friction coefficient of profiled jaws on the tissue; 0.83 where none is given.";
+    [range_row("modulus", modulus, min, max), range_row("friction", friction, 0.1, 2.0)]
+}
+
 /// The rows `mass` and `size` of `domain`; `size`: the smallest and the largest.
 pub fn object_rows(size: [f64; 2]) -> [RowSpec; 2] {
     let mass = "Factor on the object's mass, besides what its size makes of it.";
@@ -146,6 +153,11 @@ impl Range {
         *self != Self::default()
     }
 
+    /// Its largest number; none where the range was not given.
+    pub fn greatest(&self) -> Option<f64> {
+        self.is_given().then_some(self.high)
+    }
+
     /// An integer of the range, both ends included.
     pub fn draw_integer(&self, rng: &mut Rng) -> usize {
         let (low, high) = (self.low.ceil() as usize, self.high.floor() as usize);
@@ -177,6 +189,8 @@ pub struct Domain {
     pub pad_stiffness: Range,
     /// How far the pad can be pressed in, m.
     pub pad_depth: Range,
+    /// Young's modulus of tissue, Pa.
+    pub modulus: Range,
     /// Error of the camera's place along each of its axes, m.
     pub camera_pose_position: Range,
     /// Error of the camera's direction about each of its axes, rad.
@@ -210,6 +224,7 @@ impl Domain {
             size: range("size")?,
             pad_stiffness: range("pad_stiffness")?,
             pad_depth,
+            modulus: range("modulus")?,
             camera_pose_position: range("camera_pose_position")?,
             camera_pose_angle: range("camera_pose_angle")?,
             joint_offset: range("joint_offset")?,

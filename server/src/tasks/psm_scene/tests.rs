@@ -130,7 +130,8 @@ fn pitching_arm(model: &str, arm: usize, pitch: f64) -> (World, PsmArm) {
     let workspace = Aabb::new([0.55, y - 0.035, 0.695], [0.60, y + 0.035, 0.745]);
     let at = workspace.centre() + Vector3::z() * TIP_OFFSET;
     let start = Pose::from_parts(at.into(), pitched(arm, pitch));
-    let station = Station { arm, workspace, start, support: pad().max.z, squeeze: None };
+    let (support, jaws) = (pad().max.z, crate::sim::instrument::Jaws::NEEDLE_DRIVER);
+    let station = Station { arm, workspace, start, support, squeeze: None, jaws };
     let options = Options::new().with_text("arm", model);
     let mut arm = PsmArm::insert(&mut world, &options, paper, station).unwrap();
     arm.reset(&mut world, &mut Rng::new(0, 0));
