@@ -50,7 +50,7 @@ const CONDITIONS: [Condition; 15] = [
         ],
     ),
     ("dvrk", 5.0, &[]),
-    ("dvrk, pad", 5.0, &[PAD]),
+    ("dvrk on pad", 5.0, &[PAD]),
 ];
 
 struct Arguments {
