@@ -119,8 +119,8 @@ fn varies((id, options): &(String, Options), element: &Element) -> Option<bool> 
     if paper && attached && (is_tilt || ["crest yaw", "upper end yaw"].contains(&&*element.name)) {
         return None;
     }
-    // Smooth jaws may let a sheet go before it has moved.
-    if options.text("instrument") == Some("needle_driver") && element.name.starts_with("sheet") {
+    // Corners of a sheet hardly move where another point of it is taken, or where smooth jaws let it go.
+    if is_slow(id) && element.name.starts_with("sheet") {
         return None;
     }
     Some(!Registry::builtin().is_constant(id, &element.name, paper))
