@@ -348,7 +348,7 @@ impl fmt::Display for Allowed {
                 write!(f, "a table with any of")?;
                 for (index, row) in rows.iter().enumerate() {
                     let comma = if index == 0 { "" } else { "," };
-                    write!(f, "{comma} {} ({row})", row.name)?;
+                    write!(f, "{comma} {}", row.name)?;
                 }
                 let presets = presets_of(rows);
                 if !presets.is_empty() {

@@ -80,7 +80,7 @@ impl Replay {
             actions: vec![],
             rewards: vec![],
         };
-        let success = self.spec.goal.as_ref().expect("the task has goals").success;
+        let success = &self.spec.goal.as_ref().expect("the task has goals").success;
         for _ in 0..rows {
             let episodes = &self.kept[rng.random_range(0..self.kept.len())];
             let env = rng.random_range(0..episodes.envs);
@@ -97,7 +97,7 @@ impl Replay {
             } else {
                 of(&episodes.desired, goal, 0)
             };
-            batch.rewards.push(self.spec.reward.of(&success, &achieved(step + 1), &meant));
+            batch.rewards.push(self.spec.reward.of(success, &achieved(step + 1), &meant));
             batch.observations.extend(of(&episodes.observations, observation, step));
             batch.next_observations.extend(of(&episodes.observations, observation, step + 1));
             batch.actions.extend(of(&episodes.actions, action, step));
