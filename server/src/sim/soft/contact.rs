@@ -35,6 +35,10 @@ const REACH: f32 = 0.3e-3;
 /// Part of an overlap that is undone in a substep.
 const UNDONE: f32 = 0.02;
 
+/// What moves by less for an impulse counts as immovable, 1/kg: a node that is held, against a finger that is pushed along
+/// itself. Nodes have some 10,000 1/kg, fingers some 50 across.
+const LEAST_MOBILITY: f32 = 1.0;
+
 /// Greatest speed with which overlaps are undone, m/s.
 const RECOVERY: f32 = 0.02;
 
@@ -224,7 +228,7 @@ fn detect<const FIXED: bool>(
         };
         let arm = point - proxy.centre;
         let axes = axes(&gap.normal);
-        let mass = |mobility: f32| if mobility > 0.0 { 1.0 / mobility } else { 0.0 };
+        let mass = |mobility: f32| if mobility > LEAST_MOBILITY { 1.0 / mobility } else { 0.0 };
         let effective_mass = if FIXED {
             [mass(candidate.mobility); 3]
         } else {
