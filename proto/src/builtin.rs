@@ -83,6 +83,8 @@ builtin! {
         60 at PSM_HERTZ, ["psm", "tissue"];
     TISSUE_POINT: "TissuePoint-v0", "Bring a marked point of a sheet of fat to a place.",
         60 at PSM_HERTZ, ["psm", "tissue"];
+    GAUZE_PLACE: "GauzePlace-v0", "Lay a soft gauze on a spot and let go of it.",
+        60 at PSM_HERTZ, ["psm", "tissue"];
 }
 
 #[cfg(test)]

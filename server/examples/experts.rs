@@ -147,7 +147,10 @@ fn main() -> anyhow::Result<()> {
     let is_asked = |names: &[String], name: &str| {
         names.is_empty() || names.iter().any(|asked| name.starts_with(asked.as_str()))
     };
-    let grasping = builtin::ALL.iter().filter(|task| task.has("grasp")).map(|task| task.id);
+    let grasping = builtin::ALL
+        .iter()
+        .filter(|task| task.has("grasp") || task.has("tissue"))
+        .map(|task| task.id);
     let tasks: Vec<_> = grasping.filter(|task| is_asked(&arguments.tasks, task)).collect();
     let conditions = CONDITIONS.iter().filter(|each| is_asked(&arguments.conditions, each.0));
     let cells: Vec<_> = conditions

@@ -119,8 +119,11 @@ impl Cases<'_> {
             self.add(Options::new().with_text(option, word), [[1, 100]; 2], Some(0.05));
         }
         self.add(Options::new().with("rate", OptionValue::Number(20.0)), [[1, 100]; 2], Some(0.05));
-        let ends = [("modulus", 3e3), ("modulus", 8e3), ("friction", 0.5)];
-        for (row, number) in ends {
+        let domain = self.spec.options.iter().find(|option| option.name == "domain");
+        let Some(OptionSpec { allowed: Allowed::Table(rows), .. }) = domain else { return };
+        let moduli = rows.iter().filter(|row| row.name == "modulus");
+        let moduli = moduli.flat_map(|row| [("modulus", row.min), ("modulus", row.max)]);
+        for (row, number) in moduli.chain([("friction", 0.5)]).collect::<Vec<_>>() {
             let rows = BTreeMap::from([(row.to_string(), vec![number; 2])]);
             let options = Options::new().with("domain", OptionValue::Table(rows));
             self.add(options, [[2, 100]; 2], Some(0.1));
@@ -160,8 +163,8 @@ impl Cases<'_> {
 
 /// Every task as the paper has it and under everything that changes what its expert does.
 fn cases() -> Vec<Case> {
-    /// What changes no episode of an expert: rewards, and from where pictures are taken.
-    const OTHERS: [&str; 2] = ["reward", "camera"];
+    /// What changes no episode of an expert: rewards, and how pictures are taken.
+    const OTHERS: [&str; 3] = ["reward", "camera", "look"];
     let registry = Registry::builtin();
     let mut cases = vec![];
     for id in registry.ids() {

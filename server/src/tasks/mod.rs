@@ -14,6 +14,7 @@
 //! | [`active_track`] | the endoscope follows a moving cube |
 //! | [`tissue_retract`] | a PSM lifts the edge of a sheet of fat and exposes what lies under it |
 //! | [`tissue_point`] | a PSM brings a marked point of a sheet of fat to a place |
+//! | [`gauze_place`] | a PSM lays a soft gauze on a spot |
 //!
 //! `assignment.rs` reads options that are texts. A task of one's own implements [`Task`] and [`Registered`], and is added
 //! by [`Registry::register`](crate::Registry::register).
@@ -51,6 +52,7 @@ pub mod ecm_scene;
 pub mod expert;
 pub mod exposure;
 pub mod gauze;
+pub mod gauze_place;
 pub mod gauze_retrieve;
 pub mod goal;
 pub mod mis_orient;
@@ -278,5 +280,6 @@ pub(crate) fn all() -> Vec<Entry> {
         Entry::of::<cylinder_reach::CylinderReach>(),
         Entry::of::<tissue_retract::TissueRetract>(),
         Entry::of::<tissue_point::TissuePoint>(),
+        Entry::of::<gauze_place::GauzePlace>(),
     ]
 }

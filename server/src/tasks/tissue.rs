@@ -13,7 +13,9 @@ use super::options::{self, Domain, Preset};
 use super::tray;
 use crate::sim::frames::{Aabb, Pose};
 use crate::sim::random::Rng;
-use crate::sim::soft::{Form, Friction, Material, MaterialPoint, Skin, SoftBody, box_distance};
+use crate::sim::soft::{
+    Form, Friction, Material, MaterialError, MaterialPoint, Skin, SoftBody, box_distance,
+};
 use crate::sim::world::{SoftId, World};
 
 /// Half extents, m.
@@ -28,11 +30,9 @@ const SPACING: f64 = 5e-3;
 /// How much of the held edge is held, m: the first layer of nodes.
 const HELD: f64 = 1e-3;
 
-/// Young's modulus where `domain` has none, Pa: about that of fat that is compressed by a third.
-const MODULUS: f64 = 5e3;
-
-/// Young's moduli that `domain` may have, Pa: of fat that is compressed to half its thickness, and less.
-const MODULI: [f64; 2] = [3e3, 8e3];
+/// What it is made of: fat that is compressed by a third has about this Young's modulus, and fat that is compressed to half
+/// its thickness or less those that `domain` may have.
+const SUBSTANCE: Substance = Substance { material: "fat", modulus: 5e3, moduli: [3e3, 8e3] };
 
 /// Substeps within which a sheet comes to rest.
 const SETTLING: u32 = 4800;
@@ -54,20 +54,15 @@ pub struct Sheet {
 impl Sheet {
     /// The rows of `domain` that say what it is like.
     pub fn rows() -> [RowSpec; 2] {
-        options::tissue_rows(MODULI)
+        SUBSTANCE.rows()
     }
 
     /// A world with table, tray, pad and the sheet on it, at rest.
     pub fn furnish(domain: Domain) -> Result<(World, Self), Rejection> {
-        let stiffest = domain.modulus.greatest().unwrap_or(MODULUS);
-        let refuse = |error: crate::sim::soft::MaterialError| {
-            let (field, given) = ("options.domain.modulus", format!("{stiffest}"));
-            Rejection::new(Code::InvalidOption, field, given, error.to_string())
-        };
-        let material = Material::named("fat").map_err(refuse)?.with_modulus(stiffest);
         let bounds = Aabb { min: -HALF, max: HALF };
         let distance = box_distance(&HALF);
-        let mut form = Form::carved(&bounds, SPACING, material, &distance).map_err(refuse)?;
+        let mut form = SUBSTANCE
+            .form(&domain, |material| Form::carved(&bounds, SPACING, material, &distance))?;
         form.hold(|point| point.x < HELD - HALF.x);
         let skin = Skin::new(&form, &bounds, SPACING, &distance);
         let [xs, ys] = OBSERVED;
@@ -90,15 +85,7 @@ impl Sheet {
 
     /// Draws this episode's friction and modulus, where they vary, and lets a sheet of another modulus come to rest.
     pub fn vary(&mut self, world: &mut World, rng: &mut Rng) {
-        let Domain { modulus, friction, .. } = self.domain;
-        if let Some(profiled) = friction.draw_if_given(rng) {
-            let smooth = world.soft(self.soft).lattice().form().material().friction.smooth;
-            world.soft_mut(self.soft).set_friction(Friction { smooth, profiled });
-        }
-        if let (Some(drawn), Some(greatest)) = (modulus.draw_if_given(rng), modulus.greatest()) {
-            world.soft_mut(self.soft).soften(drawn / greatest);
-            settle(world);
-        }
+        SUBSTANCE.vary(&self.domain, self.soft, world, rng);
     }
 
     /// The body in the world.
@@ -128,8 +115,54 @@ impl Sheet {
     }
 }
 
+/// What a soft body of a task is made of.
+#[derive(Debug, Clone, Copy)]
+pub struct Substance {
+    /// Its row in `assets/materials.csv`.
+    pub material: &'static str,
+    /// Young's modulus where `domain` has none, Pa.
+    pub modulus: f64,
+    /// Young's moduli that `domain` may have, Pa: from, to.
+    pub moduli: [f64; 2],
+}
+
+impl Substance {
+    /// The rows of `domain` that say what it is like.
+    pub fn rows(&self) -> [RowSpec; 2] {
+        let friction = Material::named(self.material).expect("it is in the table").friction;
+        options::tissue_rows(self.modulus, self.moduli, friction.profiled)
+    }
+
+    /// The form that `carve` makes of it, as stiff as `domain` has it at most.
+    pub fn form(
+        &self,
+        domain: &Domain,
+        carve: impl FnOnce(Material) -> Result<Form, MaterialError>,
+    ) -> Result<Form, Rejection> {
+        let stiffest = domain.modulus.greatest().unwrap_or(self.modulus);
+        let material = Material::named(self.material).map(|soft| soft.with_modulus(stiffest));
+        material.and_then(carve).map_err(|error| {
+            let field = "options.domain.modulus";
+            Rejection::new(Code::InvalidOption, field, stiffest.to_string(), error.to_string())
+        })
+    }
+
+    /// Draws an episode's friction and modulus, where they vary, and lets a body of another modulus come to rest.
+    pub fn vary(&self, domain: &Domain, soft: SoftId, world: &mut World, rng: &mut Rng) {
+        let Domain { modulus, friction, .. } = domain;
+        if let Some(profiled) = friction.draw_if_given(rng) {
+            let smooth = world.soft(soft).lattice().form().material().friction.smooth;
+            world.soft_mut(soft).set_friction(Friction { smooth, profiled });
+        }
+        if let (Some(drawn), Some(greatest)) = (modulus.draw_if_given(rng), modulus.greatest()) {
+            world.soft_mut(soft).soften(drawn / greatest);
+            settle(world);
+        }
+    }
+}
+
 /// Lets a world come to rest.
-fn settle(world: &mut World) {
+pub fn settle(world: &mut World) {
     for _ in 0..SETTLING {
         if world.at_rest() {
             return;

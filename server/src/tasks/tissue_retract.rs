@@ -98,8 +98,6 @@
 //!
 //! - v0: first version.
 
-use std::f64::consts::FRAC_PI_2;
-
 use nalgebra::Vector3;
 use trocar_proto::builtin::{self, TaskInfo};
 use trocar_proto::spec::Element;
@@ -110,18 +108,14 @@ use super::exposure;
 use super::objects::{self, THEATRE};
 use super::options::{self, Preset};
 use super::tissue::{self, Sheet};
-use super::tissue_task::{Handling, Purpose};
+use super::tissue_task::{self, Handling, Purpose};
 use super::tray;
 use crate::render::Scene;
-use crate::render::material::Material;
-use crate::render::mesh::Mesh;
-use crate::sim::frames;
 use crate::sim::random::Rng;
 use crate::sim::world::World;
 
-/// Radius of the target, m, and half its thickness in pictures, m.
+/// Radius of the target, m.
 const RADIUS: f64 = 5e-3;
-const HALF_THICKNESS: f64 = 0.2e-3;
 
 /// How far the target's middle is from the free edge, m: from, to.
 const UNDER: [f64; 2] = [8e-3, 14e-3];
@@ -186,10 +180,6 @@ impl Purpose for Exposing {
     }
 
     fn draw(&self, _: &Vector3<f64>, scene: &mut Scene) {
-        scene.begin("target");
-        let disc = Mesh::cylinder(HALF_THICKNESS, RADIUS);
-        // Its axis is y.
-        let upright = frames::pose(self.target.into(), [FRAC_PI_2, 0.0, 0.0]);
-        scene.draw(disc.into(), upright, Material::named("block"));
+        tissue_task::draw_disc("target", &self.target, RADIUS, scene);
     }
 }

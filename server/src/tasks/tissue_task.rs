@@ -5,13 +5,15 @@
 //! The goal has parts (see [`GoalPart`]): where the point is, whether both fingers have pressed on the sheet at the ends of the
 //! last [`HOLD`] steps, the largest pull of the sheet on the jaws so far, and what the purpose adds.
 
+use std::f64::consts::FRAC_PI_2;
 use std::fmt::Debug;
+use std::ops::Range;
 
 use nalgebra::{Point3, Vector3};
 use trocar_proto::builtin::TaskInfo;
 use trocar_proto::goal::{GoalPart, SuccessRule};
 use trocar_proto::relative::Relative;
-use trocar_proto::spec::{Allowed, Element, GoalSpec, OptionSpec, OptionValue};
+use trocar_proto::spec::{Allowed, Element, GoalSpec, OptionSpec, OptionValue, RowSpec};
 use trocar_proto::{Options, Rejection, Stage};
 
 use super::expert::{ArmView, ExpertInput, Sees};
@@ -25,7 +27,9 @@ use super::tissue::{self, Sheet};
 use super::tray;
 use super::{Arms, Registered, State, Task};
 use crate::render::Scene;
-use crate::sim::frames::{Aabb, Pose};
+use crate::render::material::Material;
+use crate::render::mesh::Mesh;
+use crate::sim::frames::{self, Aabb, Pose};
 use crate::sim::instrument::{JAW_CLOSED, JAW_OPEN, Jaws, TIP_OFFSET};
 use crate::sim::random::Rng;
 use crate::sim::soft::MaterialPoint;
@@ -40,10 +44,12 @@ const HELD: f32 = 0.1;
 /// Largest pull with which success is one, N, and the pull beyond which it is shown as that, N. Source: 5 N pull a cecum
 /// away from its place, and its damage begins at a pinch of 15 N (Heijnsdijk 2004).
 const MOST_PULL: f64 = 3.0;
-const SHOWN: f64 = 20.0;
+
+/// Forces beyond this are shown as this, N.
+pub const SHOWN: f64 = 20.0;
 
 /// The distance of the point that takes 1 from the dense reward, m.
-const LENGTH: f32 = 0.01;
+pub const LENGTH: f32 = 0.01;
 
 /// Where along x jaws take the sheet, m, sheet's frame: one finger is on the free edge's either side.
 const GRASP_X: f64 = 28e-3;
@@ -124,46 +130,70 @@ pub struct Handling<P> {
 /// Numbers of the goal before those of the purpose: the point, whether it is held, the pull.
 const COMMON: usize = 5;
 
+/// What may be asked of a task with something soft, whose `domain` has these rows.
+pub fn options(rows: [RowSpec; 2]) -> Vec<OptionSpec> {
+    vec![
+        options::reward(),
+        OptionSpec::choice(
+            "instrument",
+            "tissue_forceps: broad, profiled jaws; needle_driver: narrow, smooth ones.",
+            &["tissue_forceps", "needle_driver"],
+        ),
+        OptionSpec {
+            name: "squeeze".into(),
+            summary: "Force with which each finger squeezes, N.".into(),
+            default: OptionValue::Number(SQUEEZE),
+            allowed: Allowed::Range { min: 0.5, max: 4.0 },
+        },
+        options::action(),
+        options::observation(),
+        options::arm(),
+        RATE.option(5.0),
+        Sees::option(),
+        options::domain_with(rows.into_iter().chain(options::psm_rows())),
+        options::setup(&PsmArm::setup_rows(1)),
+    ]
+}
+
+/// Where its arm stands and what it has at the end of its wrist.
+pub fn station(options: &Options) -> Station {
+    let start = [WORKSPACE.min.x, WORKSPACE.max.y, WORKSPACE.centre().z + TIP_OFFSET];
+    let jaws = match options.text("instrument") {
+        Some("needle_driver") => Jaws::NEEDLE_DRIVER,
+        _ => Jaws::TISSUE_FORCEPS,
+    };
+    let squeeze = options.number("squeeze");
+    Station { squeeze, jaws, ..Station::psm1(start, tray::pad().max.z) }
+}
+
+/// A part of the goal: these of its numbers, reached within `tolerance`, with `unit` as 1 in the dense reward.
+pub fn part(name: &str, numbers: Range<usize>, tolerance: f32, unit: f32) -> GoalPart {
+    let Range { start, end } = numbers;
+    GoalPart { name: name.into(), start, count: end - start, tolerance, unit }
+}
+
+/// Draws a disc that lies on the pad.
+pub fn draw_disc(name: &'static str, at: &Vector3<f64>, radius: f64, scene: &mut Scene) {
+    const HALF_THICKNESS: f64 = 0.2e-3;
+    scene.begin(name);
+    // The axis of the cylinder is y.
+    let upright = frames::pose((*at).into(), [FRAC_PI_2, 0.0, 0.0]);
+    scene.draw(Mesh::cylinder(HALF_THICKNESS, radius).into(), upright, Material::named("block"));
+}
+
 impl<P: Purpose> Registered for Handling<P> {
     const INFO: TaskInfo = P::INFO;
     const CONSTANT: &'static [&'static str] = P::CONSTANT;
     const CONSTANT_UNDER_PAPER: &'static [&'static str] = &["wrist link roll", "wrist link pitch"];
 
     fn options() -> Vec<OptionSpec> {
-        vec![
-            options::reward(),
-            OptionSpec::choice(
-                "instrument",
-                "tissue_forceps: broad, profiled jaws; needle_driver: narrow, smooth ones.",
-                &["tissue_forceps", "needle_driver"],
-            ),
-            OptionSpec {
-                name: "squeeze".into(),
-                summary: "Force with which each finger squeezes, N.".into(),
-                default: OptionValue::Number(SQUEEZE),
-                allowed: Allowed::Range { min: 0.5, max: 4.0 },
-            },
-            options::action(),
-            options::observation(),
-            options::arm(),
-            RATE.option(5.0),
-            Sees::option(),
-            options::domain_with(Sheet::rows().into_iter().chain(options::psm_rows())),
-            options::setup(&PsmArm::setup_rows(1)),
-        ]
+        options(Sheet::rows())
     }
 
     fn new(options: &Options) -> Result<(Self, World), Rejection> {
         let (mut world, sheet) = Sheet::furnish(Domain::of(options)?)?;
         let paper = PaperAction { turn: Turn::Vertical, jaw: true };
-        let start = [WORKSPACE.min.x, WORKSPACE.max.y, WORKSPACE.centre().z + TIP_OFFSET];
-        let jaws = match options.text("instrument") {
-            Some("needle_driver") => Jaws::NEEDLE_DRIVER,
-            _ => Jaws::TISSUE_FORCEPS,
-        };
-        let squeeze = options.number("squeeze");
-        let station = Station { squeeze, jaws, ..Station::psm1(start, tray::pad().max.z) };
-        let arm = PsmArm::insert(&mut world, options, paper, station)?;
+        let arm = PsmArm::insert(&mut world, options, paper, station(options))?;
         let middle = sheet.upper_point(&world, [GRASP_X, 0.0]);
         let task = Self {
             arm,
@@ -185,24 +215,18 @@ impl<P: Purpose> Task for Handling<P> {
     }
 
     fn goal(&self) -> Option<GoalSpec> {
-        let part = |name: &str, start, count, tolerance, unit| GoalPart {
-            name: name.into(),
-            start,
-            count,
-            tolerance,
-            unit,
-        };
         let mut elements = objects::position_elements(P::POINT, &THEATRE, Preset::Paper);
         elements.push(Element::new("held", "", "1", 0.0, 1.0));
         elements.push(Element::new("peak pull", "", "N", 0.0, SHOWN as f32));
         let most = MOST_PULL as f32;
         let mut parts = vec![
-            part(P::POINT, 0, 3, P::NEAR as f32, LENGTH),
-            part("held", 3, 1, HELD, 1.0),
-            part("peak pull", 4, 1, most, most),
+            part(P::POINT, 0..3, P::NEAR as f32, LENGTH),
+            part("held", 3..4, HELD, 1.0),
+            part("peak pull", 4..5, most, most),
         ];
         for (element, tolerance, unit) in P::parts() {
-            parts.push(part(&element.name, elements.len(), 1, tolerance, unit));
+            let at = elements.len();
+            parts.push(part(&element.name, at..at + 1, tolerance, unit));
             elements.push(element);
         }
         Some(GoalSpec { elements, success: SuccessRule::Parts(parts) })

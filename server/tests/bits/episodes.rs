@@ -23,7 +23,7 @@ const FIRST_SEED: u64 = 7_000;
 type Row<'a> = (&'a str, &'a [f64]);
 
 /// Rows of `setup` under which a task's arm can do its work.
-const SETUPS: [(&str, &[Row]); 14] = [
+const SETUPS: [(&str, &[Row]); 15] = [
     ("NeedleReach-v0", &[("base", &[0.06, 0.25, 0.845, -1.9]), ("table_height", &[0.672])]),
     ("GauzeRetrieve-v0", &[("table_height", &[0.67])]),
     ("NeedlePick-v0", &[("table_height", &[0.67])]),
@@ -38,6 +38,7 @@ const SETUPS: [(&str, &[Row]); 14] = [
     ("ActiveTrack-v0", &[("base", &[-0.04, 0.01, 1.01, 0.5])]),
     ("TissueRetract-v0", &[("table_height", &[0.67])]),
     ("TissuePoint-v0", &[("table_height", &[0.67])]),
+    ("GauzePlace-v0", &[("table_height", &[0.67])]),
 ];
 
 /// The episodes of every task, not yet played.

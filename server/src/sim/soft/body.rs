@@ -79,6 +79,12 @@ impl SoftBody {
         self.wake();
     }
 
+    /// Moves it as it is, deformed and asleep or not, by a motion of the world.
+    pub fn carry(&mut self, motion: &Pose) {
+        self.lattice.carry(motion);
+        self.contacts.clear();
+    }
+
     /// Sets its friction coefficients.
     pub fn set_friction(&mut self, friction: Friction) {
         self.friction = friction;

@@ -55,11 +55,13 @@ pub fn friction_row() -> RowSpec {
     range_row("friction", "Friction coefficient of the jaws; 1 where none is given.", 0.1, 2.0)
 }
 
-/// The rows of `domain` of tasks with tissue, whose Young's modulus may be from `min` to `max`, Pa.
-pub fn tissue_rows([min, max]: [f64; 2]) -> [RowSpec; 2] {
-    let modulus = "Young's modulus of the tissue, Pa; 5000 where none is given.";
-    let friction = "Friction coefficient of profiled jaws on the tissue; 0.83 where none is given.";
-    [range_row("modulus", modulus, min, max), range_row("friction", friction, 0.1, 2.0)]
+/// The rows of `domain` of tasks with something soft, with Young's modulus (Pa) and friction where none are given, and the
+/// moduli that it may have.
+pub fn tissue_rows(modulus: f64, [min, max]: [f64; 2], friction: f64) -> [RowSpec; 2] {
+    let modulus = format!("Young's modulus of what is soft, Pa; {modulus} where none is given.");
+    let friction =
+        format!("Friction coefficient of profiled jaws on it; {friction} where none is given.");
+    [range_row("modulus", &modulus, min, max), range_row("friction", &friction, 0.1, 2.0)]
 }
 
 /// The rows `mass` and `size` of `domain`; `size`: the smallest and the largest.
