@@ -181,7 +181,7 @@ fn a_rollout_gives_the_same_numbers_in_a_server_and_however_batched() {
             "rollout",
             "--json",
             "--episodes",
-            "7",
+            "4",
             "--seed",
             "40",
             "--reward",
