@@ -24,10 +24,10 @@ WHEEL_VENV := .venv-wheels
 WHEEL_BIN := $(abspath $(WHEEL_VENV)/bin)
 # What plots need.
 PLOT_VENV := .venv-plot
-# With the wheels, what depends on Gymnasium and on how the package is installed. Tasks that grasp are left out: what they
-# add takes long and is neither's.
+# With the wheels, what depends on Gymnasium and on how the package is installed. Tasks that grasp or handle tissue are left
+# out: what they add takes long and is neither's.
 WHEEL_TESTS := $(addprefix tests/test_,$(addsuffix .py,conventions env front_door goals package reset_options seeds vector)) \
-	-k "not stubs" -m "not grasp"
+	-k "not stubs" -m "not grasp and not tissue"
 # Python files under ruff, as seen from client-py/, whose pyproject.toml has the rules.
 PYTHON_CODE := . ../tests/prose.py ../tests/vocabulary.py ../server/cli/src/demo ../server/cli/src/bench ../server/cli/src/load ../server/view/tests ../tests/ros2 ../tests/mujoco_twin
 # What people train with, each with the Gymnasium that it needs.

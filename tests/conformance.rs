@@ -4,7 +4,7 @@ use trocar_client::{Autoreset, CallError, Code, Options, Session, SessionRequest
 use trocar_proto::TaskSpec;
 use trocar_server::Registry;
 
-use crate::harness::Server;
+use crate::harness::{Server, tasks};
 use crate::rows::{Row, act, policies};
 use crate::twin::Twin;
 
@@ -54,7 +54,7 @@ impl Envs for Remote {
 /// Runs `check` on both implementations of every registered task.
 fn on_both(envs: u32, autoreset: Autoreset, check: fn(&mut dyn Envs)) {
     let server = Server::start();
-    for task in Registry::builtin().ids() {
+    for task in tasks() {
         check(&mut Twin::new(task, &Options::new(), envs as usize, 40).autoreset(autoreset));
         let request = SessionRequest::new(task).envs(envs).seed(40).autoreset(autoreset);
         check(&mut Remote(server.open(&request), autoreset));
@@ -263,7 +263,7 @@ fn play(envs: &mut dyn Envs, count: usize, steps: usize) -> Vec<Vec<Row>> {
 #[test]
 fn both_implementations_agree_bit_by_bit_in_every_mode() {
     let server = Server::start();
-    for task in Registry::builtin().ids() {
+    for task in tasks() {
         for mode in [Autoreset::NextStep, Autoreset::SameStep] {
             let mut twin = Twin::new(task, &Options::new(), 3, 40).autoreset(mode);
             let request = SessionRequest::new(task).envs(3).seed(40).autoreset(mode);
@@ -294,7 +294,7 @@ fn an_environment_that_is_under_way_is_not_sent_again() {
 #[test]
 fn two_groups_in_flight_go_as_if_alone() {
     let server = Server::start();
-    for task in Registry::builtin().ids() {
+    for task in tasks() {
         let mode = Autoreset::NextStep;
         let expected = play(&mut Twin::new(task, &Options::new(), 4, 40), 4, 120);
         let mut session = server.open(&SessionRequest::new(task).envs(4).seed(40));

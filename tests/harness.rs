@@ -12,6 +12,7 @@ use std::time::{Duration, Instant};
 
 use rustix::process::{Pid, Signal, kill_process};
 use trocar_client::{Client, Session, SessionRequest};
+use trocar_proto::builtin::{ALL, TaskInfo};
 use trocar_proto::endpoint::{Endpoint, ServerState};
 
 /// How long anything may take that takes milliseconds on an idle machine.
@@ -26,6 +27,15 @@ const SOAK_WATCHDOG: Duration = Duration::from_hours(2);
 /// Whether the long runs are wanted.
 pub(crate) fn soak() -> bool {
     std::env::var_os("TROCAR_SOAK").is_some()
+}
+
+/// The tasks that sessions are tried with: every one, but of those that handle tissue, whose steps take long, the
+/// first alone, unless in a soak.
+pub(crate) fn tasks() -> impl Iterator<Item = &'static str> {
+    let mut tissue = ALL.iter().filter(|task| task.has("tissue")).map(|task| task.id);
+    let first = tissue.next();
+    let is_tried = move |task: &TaskInfo| !task.has("tissue") || Some(task.id) == first || soak();
+    ALL.iter().filter(move |task| is_tried(task)).map(|task| task.id)
 }
 
 /// The processes that tests have started and not yet ended.

@@ -4,7 +4,7 @@
 use trocar_client::{Autoreset, Options, Session, SessionRequest};
 use trocar_server::Registry;
 
-use crate::harness::{Server, soak};
+use crate::harness::{Server, soak, tasks};
 use crate::rows::{Row, act, policies};
 use crate::twin::Twin;
 
@@ -65,7 +65,7 @@ fn remote(server: &Server, task: &str, options: &Options, envs: usize, seed: u64
 #[test]
 fn every_task_and_option_has_the_same_bits_in_process_and_through_a_session() {
     let server = Server::start();
-    for task in Registry::builtin().ids() {
+    for task in tasks() {
         for options in option_sets(task) {
             let expected = in_process(task, &options, 2);
             let found = remote(&server, task, &options, 2, SEED);
@@ -94,7 +94,7 @@ fn first_cpu() -> String {
 
 #[test]
 fn bits_do_not_depend_on_company_threads_or_the_run_of_the_server() {
-    for task in Registry::builtin().ids() {
+    for task in tasks() {
         let options = Options::new();
         let envs = company(task);
         let expected = in_process(task, &options, envs);
@@ -118,7 +118,7 @@ fn bits_do_not_depend_on_company_threads_or_the_run_of_the_server() {
 #[test]
 fn sessions_side_by_side_do_not_touch_each_other() {
     let server = Server::start();
-    let tasks: Vec<String> = Registry::builtin().ids().map(str::to_string).collect();
+    let tasks: Vec<&str> = tasks().collect();
     std::thread::scope(|scope| {
         for index in 0..6 {
             let (server, task) = (&server, &tasks[index % tasks.len()]);

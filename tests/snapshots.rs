@@ -6,7 +6,7 @@ use rand_chacha::ChaCha8Rng;
 use trocar_client::{Autoreset, CallError, Code, Options, Session, SessionRequest};
 use trocar_server::{Env, Registry};
 
-use crate::harness::{Server, eventually};
+use crate::harness::{Server, eventually, tasks};
 use crate::rows::{Policy, Row, act, policies};
 use crate::twin::{Bystander, Twin};
 
@@ -67,7 +67,7 @@ impl Pair {
 fn what_follows_a_restore_is_what_followed_the_snapshot() {
     let server = Server::start();
     let mut rng = ChaCha8Rng::seed_from_u64(1);
-    for task in Registry::builtin().ids() {
+    for task in tasks() {
         for mode in [Autoreset::NextStep, Autoreset::SameStep, Autoreset::Disabled] {
             let mut pair = Pair::new(&server, task, mode);
             // Any moment, and the one between the end of an episode and its reset.
@@ -112,7 +112,7 @@ fn the_end_of_an_episode_is_part_of_a_snapshot() {
 #[test]
 fn one_environment_goes_on_in_many_and_many_in_any_order() {
     let server = Server::start();
-    for task in Registry::builtin().ids() {
+    for task in tasks() {
         let mut pair = Pair::new(&server, task, Autoreset::NextStep);
         pair.steps(12);
         let mode = pair.mode;
@@ -145,7 +145,7 @@ fn one_environment_goes_on_in_many_and_many_in_any_order() {
 fn exported_states_go_on_in_another_server() {
     let (first, second) = (Server::start(), Server::start());
     let bystander = Bystander::start(&second);
-    for task in Registry::builtin().ids() {
+    for task in tasks() {
         let mut pair = Pair::new(&first, task, Autoreset::NextStep);
         pair.steps(17);
         let snapshot = pair.session.snapshot().unwrap();

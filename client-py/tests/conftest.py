@@ -25,6 +25,12 @@ WATCHDOG = 60.0
 WITHOUT_GOALS = tuple(task for task in TASKS if "endless" in TAGS[task])
 """Tasks whose observations are one array."""
 
+SLOW = [task for task in TASKS if "tissue" in TAGS[task]]
+"""Tasks whose steps take long; what all tasks share is tested with the first of them."""
+
+TRIED = tuple(task for task in TASKS if task not in SLOW[1:])
+"""Tasks that most tests are run with."""
+
 Script = Callable[..., subprocess.Popen[str]]
 
 Interrupted = Callable[[Callable[[], object]], None]
@@ -65,15 +71,15 @@ def own_server() -> Iterator[trocar.Server]:
         yield running
 
 
-@pytest.fixture(params=TASKS)
+@pytest.fixture(params=TRIED)
 def task(request: pytest.FixtureRequest) -> str:
-    """Every task."""
+    """Every task, of the slow ones one."""
     return str(request.param)
 
 
-@pytest.fixture(params=[task for task in TASKS if task not in WITHOUT_GOALS])
+@pytest.fixture(params=[task for task in TRIED if task not in WITHOUT_GOALS])
 def goal_task(request: pytest.FixtureRequest) -> str:
-    """Every task with goals."""
+    """Every task with goals, of the slow ones one."""
     return str(request.param)
 
 

@@ -55,6 +55,7 @@ def trajectory(env: trocar.TrocarEnv, steps: int = 60, seed: int = 5) -> list[An
     return taken
 
 
+@pytest.mark.parametrize("task", TASKS)
 def test_gymnasiums_checker_is_content(task: str, server: str) -> None:
     env = make(task, server)
     check_env(env)

@@ -110,15 +110,16 @@ def test_a_session_of_many_is_many_sessions_of_one(task: str, mode: str, server:
 
 
 def test_rows_do_not_depend_on_how_many_there_are(task: str, server: str) -> None:
-    many, one = make_vec(task, server, 64), make_vec(task, server, 1)
+    row = 5 if "tissue" in TAGS[task] else 40  # steps with tissue take long
+    many, one = make_vec(task, server, 8 * row // 5), make_vec(task, server, 1)
     observations, _ = many.reset(seed=0)
-    alone, _ = one.reset(seed=40)
+    alone, _ = one.reset(seed=row)
     for step in range(TASKS[task] + 5):
-        assert same(rows_of(observations, slice(40, 41)), alone)
+        assert same(rows_of(observations, slice(row, row + 1)), alone)
         actions = actions_of(many, step)
         observations, rewards, *_ = many.step(actions)
-        alone, reward, *_ = one.step(actions[40:41])
-        assert rewards[40] == reward[0]
+        alone, reward, *_ = one.step(actions[row : row + 1])
+        assert rewards[row] == reward[0]
     many.close()
     one.close()
 

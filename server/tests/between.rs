@@ -32,7 +32,7 @@ fn places(scene: &Scene) -> Vec<Vector3<f64>> {
 fn looking_between_steps_does_not_change_their_bits() {
     let rows = [("latency_seconds".to_string(), vec![0.03; 2])];
     let late = Options::new().with("domain", OptionValue::Table(rows.into()));
-    for task in Registry::builtin().ids() {
+    for task in crate::suite::tasks() {
         for options in [&Options::new(), &late] {
             let (mut one, mut other) = (make(task, options), make(task, options));
             let mut action = vec![0.0; one.spec().action_dim()];

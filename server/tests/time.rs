@@ -253,7 +253,7 @@ fn an_arm_does_not_stop_between_steps_at_a_high_rate() {
 
 #[test]
 fn steps_of_every_rate_take_as_long_as_they_say() {
-    for id in Registry::builtin().ids() {
+    for id in crate::suite::tasks() {
         let spec = Registry::builtin().spec(id, &Options::new()).unwrap();
         let whole = f64::from(spec.max_steps) * spec.seconds_per_step;
         for hertz in [5.0, 10.0, 20.0, 30.0, 40.0, 60.0] {
@@ -366,7 +366,7 @@ fn actuators_add_noise_of_the_size_that_is_asked_for_and_the_same_again() {
 
 #[test]
 fn looking_between_steps_changes_no_bits_and_shows_what_moves() {
-    for id in Registry::builtin().ids() {
+    for id in crate::suite::tasks() {
         let mut looked = make(id, &Options::new());
         looked.reset(Some(3));
         let mut stepped = looked.clone();
