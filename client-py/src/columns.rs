@@ -21,6 +21,9 @@ macro_rules! array {
         PyArray1::from_iter($reply.py(), inner.$name().iter().map(|number| *number as i64))
             .into_any()
     }};
+    ($reply:ident, $copy:expr, $name:ident f32 Tissue) => {
+        array!($reply, $copy, $name f32 One)
+    };
     ($reply:ident, $copy:expr, $name:ident $element:ident One) => {
         PyArray1::from_slice($reply.py(), $reply.get().inner().$name()).into_any()
     };
@@ -35,6 +38,9 @@ macro_rules! first {
     ($reply:ident, $name:ident Flag One) => {
         $reply.get().inner().$name().first().is_some_and(|byte| *byte != 0)
     };
+    ($reply:ident, $name:ident f32 Tissue) => {
+        first!($reply, $name f32 One)
+    };
     ($reply:ident, $name:ident $element:ident One) => {
         $reply.get().inner().$name().first().copied().unwrap_or_default()
     };
@@ -45,15 +51,20 @@ macro_rules! first {
 
 /// Tells the macro `$then` of a column that infos have: its key, then what comes after the role.
 macro_rules! if_told {
-    ({expert $key:ident}, $expert:ident, $then:ident!($($column:tt)*)) => {
+    ({expert $key:ident}, [$expert:ident, $tissue:ident], $then:ident!($($column:tt)*)) => {
         if $expert {
             $then!($key, $($column)*);
         }
     };
-    ({$role:ident $key:ident}, $expert:ident, $then:ident!($($column:tt)*)) => {
+    ({tissue $key:ident}, [$expert:ident, $tissue:ident], $then:ident!($($column:tt)*)) => {
+        if $tissue {
+            $then!($key, $($column)*);
+        }
+    };
+    ({$role:ident $key:ident}, $wanted:tt, $then:ident!($($column:tt)*)) => {
         $then!($key, $($column)*)
     };
-    ({$($role:ident)?}, $expert:ident, $then:ident!($($column:tt)*)) => {};
+    ({$($role:ident)?}, $wanted:tt, $then:ident!($($column:tt)*)) => {};
 }
 
 /// A column as an array of infos: numbers are Python's own, as Gymnasium makes arrays of single environments' infos.
@@ -62,6 +73,9 @@ macro_rules! info_array {
         let inner = $reply.get().inner();
         PyArray1::from_iter($reply.py(), inner.$name().iter().copied().map(f64::from)).into_any()
     }};
+    ($reply:ident, $name:ident f32 Tissue) => {
+        info_array!($reply, $name f32 One)
+    };
     ($reply:ident, $($column:ident)*) => {
         array!($reply, true, $($column)*)
     };
@@ -76,6 +90,9 @@ macro_rules! dtype {
         "int64"
     };
     (f32 One) => {
+        "float64"
+    };
+    (f32 Tissue) => {
         "float64"
     };
     (f32 $width:ident) => {
@@ -141,7 +158,8 @@ macro_rules! columns {
             expert: bool,
             mut tell: impl FnMut(&Bound<'py, PyString>, &Bound<'py, PyString>, Bound<'py, PyAny>) -> PyResult<()>,
         ) -> PyResult<()> {
-            $(if_told!($role, expert, tell_all!(reply, tell, $name $element $width));)*
+            let tissue = reply.get().inner().spec().has_tissue;
+            $(if_told!($role, [expert, tissue], tell_all!(reply, tell, $name $element $width));)*
             Ok(())
         }
 
@@ -151,7 +169,8 @@ macro_rules! columns {
             expert: bool,
         ) -> PyResult<Bound<'py, PyDict>> {
             let infos = PyDict::new(reply.py());
-            $(if_told!($role, expert, tell_first!(reply, infos, $name $element $width));)*
+            let tissue = reply.get().inner().spec().has_tissue;
+            $(if_told!($role, [expert, tissue], tell_first!(reply, infos, $name $element $width));)*
             Ok(infos)
         }
     };

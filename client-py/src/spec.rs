@@ -69,6 +69,11 @@ impl TaskSpec {
     }
 
     #[getter]
+    fn has_tissue(&self) -> bool {
+        self.spec.has_tissue
+    }
+
+    #[getter]
     fn seconds_per_step(&self) -> f64 {
         self.spec.seconds_per_step
     }

@@ -101,6 +101,16 @@ def test_infos_tell_how_far_tips_go_and_how_hard_jaws_press(server: str) -> None
         info = env.step(np.array([0.6, -0.8, 0, 0, 0], np.float32))[-1]
         assert info["tip_path"] == pytest.approx(0.01, rel=1e-6)
         assert info["peak_force"] == 0.0
+        assert "tissue_pressure" not in info
+    tissue = {"tissue_pressure", "overstretched", "crushed"}
+    with make("TissuePoint-v0", server) as env:
+        info = env.reset(seed=0)[1]
+        assert all(info[key] == 0.0 for key in tissue)
+        assert env.step(np.zeros(5, np.float32))[-1].keys() == info.keys()
+    envs = trocar.TrocarVectorEnv("TissuePoint-v0", 1, server=server)
+    begun = envs.reset(seed=0)[1]
+    assert tissue < begun.keys() == envs.step(np.zeros((1, 5), np.float32))[-1].keys()
+    envs.close()
     envs = trocar.TrocarVectorEnv("NeedlePick-v0", 4, server=server, expert=True)
     infos = envs.reset(seed=0)[1]
     forces = []

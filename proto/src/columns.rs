@@ -20,6 +20,8 @@ pub enum Width {
     Goal,
     /// As many as an action has.
     Action,
+    /// One, for tasks with soft bodies.
+    Tissue,
     /// Three for each pixel that is asked for.
     Rgb,
     /// One for each pixel that is asked for.
@@ -39,6 +41,7 @@ impl Width {
             Self::Observation => spec.observation_dim(),
             Self::Goal => spec.goal_dim(),
             Self::Action => spec.action_dim(),
+            Self::Tissue => usize::from(spec.has_tissue),
             Self::Rgb => pixels(ImageKind::Rgb),
             Self::Depth => pixels(ImageKind::Depth),
             Self::Mask => pixels(ImageKind::Mask),
@@ -55,6 +58,7 @@ impl Width {
 /// | role | what | written from |
 /// |---|---|---|
 /// | `step` | what a step brought; zeros after a reset | the field of that name of the server's `Step` |
+/// | `tissue` | the same, of tasks with soft bodies; others have no such info | the same |
 /// | `fault` | whether the simulation failed in it | the error of the step |
 /// | `episode` | which episode it is | the environment |
 /// | `expert` | what the scripted expert would do; zeros unless it is wanted | the environment |
@@ -81,6 +85,14 @@ macro_rules! reply_columns {
             tip_path: f32 [One] {step tip_path};
             /// Largest force between a jaw and a body in the step, N: (rows); 0 where the jaws touched nothing.
             peak_force: f32 [One] {step peak_force};
+            /// Largest pressure of a finger or wrist on tissue in the step, Pa: (rows); tasks with soft bodies only.
+            tissue_pressure: f32 [Tissue] {tissue tissue_pressure};
+            /// Share of the elements outside the jaws that are stretched beyond the ultimate strain of their material after
+            /// the step: (rows); tasks with soft bodies only.
+            overstretched: f32 [Tissue] {tissue overstretched};
+            /// Share of the elements between the jaws that are compressed beyond it after the step: (rows); tasks with soft
+            /// bodies only.
+            crushed: f32 [Tissue] {tissue crushed};
             /// The `Code` of the failure where the environment's simulation failed, else 0: (rows).
             fault: Flag [One] {fault simulation_failed};
             /// Steps since the episode began: (rows); 0 after a reset or autoreset.
@@ -124,9 +136,10 @@ macro_rules! reply_columns {
     };
 }
 
-/// What follows the role of a column where that is `step`, else nothing.
+/// What follows the role of a column where a step brings it, else nothing.
 #[macro_export]
 macro_rules! if_step {
     ({step $($key:ident)?} $($then:tt)*) => { $($then)* };
+    ({tissue $key:ident} $($then:tt)*) => { $($then)* };
     ({$($role:tt)*} $($then:tt)*) => {};
 }

@@ -37,6 +37,8 @@ pub struct TaskSpec {
     pub options: Vec<OptionSpec>,
     /// Pictures that an observation has; none unless they are asked for. Tasks leave this to the registry.
     pub images: Option<ImageSpec>,
+    /// Whether there are soft bodies: then steps tell what is done to them.
+    pub has_tissue: bool,
 }
 
 impl TaskSpec {

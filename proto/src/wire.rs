@@ -364,6 +364,7 @@ mod tests {
             options: vec![],
             relative: Relative::default(),
             images: None,
+            has_tissue: false,
         }
     }
 

@@ -5,7 +5,7 @@
 //! ```
 //!
 //! Success is that of an episode's last step. `--conditions` and `--tasks` take the beginnings of names, `--failures`
-//! lists the seeds that failed, `--threads` is 1 unless given.
+//! lists the seeds that failed, `--threads` is 1 unless given. Of tasks with soft bodies it tells what episodes did to them.
 
 use std::collections::BTreeMap;
 use std::io::Write;
@@ -16,7 +16,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use anyhow::{Context, bail};
 use trocar_proto::spec::Allowed;
 use trocar_proto::{OptionValue, Options, builtin};
-use trocar_server::Registry;
+use trocar_server::{Registry, Step};
 
 /// What may be wrong with an arm: rate, Hz, and rows of `domain`.
 type Condition = (&'static str, f64, &'static [(&'static str, [f64; 2])]);
@@ -102,6 +102,23 @@ struct Cell {
     task: &'static str,
     condition: Condition,
     failed: Mutex<Vec<u64>>,
+    harms: Mutex<Vec<Harm>>,
+}
+
+/// What an episode did to tissue: the greatest of its steps.
+#[derive(Debug, Clone, Copy, Default)]
+struct Harm {
+    pressure: f32,
+    overstretched: f32,
+    crushed: f32,
+}
+
+impl Harm {
+    fn add(&mut self, step: &Step) {
+        self.pressure = self.pressure.max(step.tissue_pressure);
+        self.overstretched = self.overstretched.max(step.overstretched);
+        self.crushed = self.crushed.max(step.crushed);
+    }
 }
 
 impl Cell {
@@ -129,16 +146,43 @@ impl Cell {
         let mut action = vec![0.0; env.spec().action_dim()];
         for seed in seeds {
             env.reset(Some(*seed));
-            let mut is_success = false;
+            let (mut is_success, mut harm) = (false, Harm::default());
             while !env.needs_reset() {
                 env.expert(&mut action);
-                is_success = env.step(&action)?.is_success;
+                let step = env.step(&action)?;
+                is_success = step.is_success;
+                harm.add(&step);
             }
             if !is_success {
                 self.failed.lock().expect("no thread panics").push(*seed);
             }
+            if env.spec().has_tissue {
+                self.harms.lock().expect("no thread panics").push(harm);
+            }
         }
         Ok(())
+    }
+
+    /// What its episodes did to tissue, where there is some.
+    fn tell_harms(&self, out: &mut impl Write) -> std::io::Result<()> {
+        let harms = self.harms.lock().expect("no thread panics");
+        if harms.is_empty() {
+            return Ok(());
+        }
+        let quantile = |share: f64, of: fn(&Harm) -> f32| {
+            let mut sorted: Vec<_> = harms.iter().map(of).collect();
+            sorted.sort_unstable_by(f32::total_cmp);
+            sorted[(share * (sorted.len() - 1) as f64).round() as usize]
+        };
+        let whole = harms.iter().filter(|harm| harm.overstretched == 0.0).count();
+        let share = 100.0 * whole as f64 / harms.len() as f64;
+        write!(out, "{} {}: nothing overstretched in {share:.1} %", self.task, self.condition.0)?;
+        let percent = |share: f32| 100.0 * share;
+        let worst = percent(quantile(1.0, |harm| harm.overstretched));
+        let [median, most] = [0.5, 1.0].map(|share| 1e-3 * quantile(share, |harm| harm.pressure));
+        let crushed = percent(quantile(0.5, |harm| harm.crushed));
+        write!(out, ", at most {worst:.1} % of the elements; pressure {median:.0} kPa (median)")?;
+        writeln!(out, ", {most:.0} kPa (most); crushed {crushed:.0} % (median)")
     }
 }
 
@@ -149,13 +193,18 @@ fn main() -> anyhow::Result<()> {
     };
     let grasping = builtin::ALL
         .iter()
-        .filter(|task| task.has("grasp") || task.has("tissue"))
+        .filter(|task| task.has("grasp") || task.has("tissue") || !arguments.tasks.is_empty())
         .map(|task| task.id);
     let tasks: Vec<_> = grasping.filter(|task| is_asked(&arguments.tasks, task)).collect();
     let conditions = CONDITIONS.iter().filter(|each| is_asked(&arguments.conditions, each.0));
     let cells: Vec<_> = conditions
         .flat_map(|condition| tasks.iter().map(|task| (*task, *condition)))
-        .map(|(task, condition)| Cell { task, condition, failed: Mutex::default() })
+        .map(|(task, condition)| Cell {
+            task,
+            condition,
+            failed: Mutex::default(),
+            harms: Mutex::default(),
+        })
         .collect();
     let seeds: Vec<_> = arguments.seeds.clone().collect();
     // Few at a time, so that no thread is the last for long.
@@ -184,6 +233,9 @@ fn main() -> anyhow::Result<()> {
             write!(out, " {:.1} % |", 100.0 * share)?;
         }
         writeln!(out)?;
+    }
+    for cell in &cells {
+        cell.tell_harms(&mut out)?;
     }
     for cell in cells.iter().filter(|_| arguments.lists_failures) {
         let mut failed = cell.failed.lock().expect("no thread panics").clone();

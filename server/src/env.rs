@@ -20,6 +20,7 @@
 
 use std::sync::Arc;
 
+use arrayvec::ArrayVec;
 use nalgebra::Vector3;
 use trocar_proto::goal::Reward;
 use trocar_proto::snapshot::Recipe;
@@ -28,8 +29,10 @@ use trocar_proto::{Code, Options, Placement, Rejection, Stage, TaskSpec};
 
 use crate::error::StepError;
 use crate::render::{Look, Scene};
-use crate::sim::motion::Effort;
+use crate::sim::instrument::Instrument;
+use crate::sim::motion::{Effort, MAX_INSTRUMENTS};
 use crate::sim::random::Rng;
+use crate::sim::soft::Damage;
 use crate::sim::world::World;
 use crate::tasks::expert::{ExpertInput, Sees};
 use crate::tasks::options::{self, Domain, SCALED_LENGTH, SCALED_LENGTHS_PER_METRE};
@@ -81,6 +84,14 @@ pub struct Step {
     /// Largest force between a jaw and a body that it touched, N, as the average of a substep; 0 where the jaws touched
     /// nothing. Friction is not in it, nor what the arm itself would bear: nothing moves it from its path.
     pub peak_force: f32,
+    /// Largest pressure of a finger or wrist on tissue, Pa: its force over the skin that it touches, as the average of a
+    /// substep.
+    pub tissue_pressure: f32,
+    /// Share of the elements of soft bodies that are stretched beyond the ultimate strain of their material after the step,
+    /// of those that are not between jaws in part.
+    pub overstretched: f32,
+    /// Share of the elements that are compressed beyond it, of those between jaws.
+    pub crushed: f32,
 }
 
 /// An environment as one value: world, task, randomness and step count. A clone is a snapshot and
@@ -428,7 +439,7 @@ impl Env {
         self.check(action)?;
         self.take_down(action);
         self.pass_noise();
-        let Effort { tip_path, peak_force } = self.pass(action, 1, &mut |_| {});
+        let Effort { tip_path, peak_force, tissue_pressure } = self.pass(action, 1, &mut |_| {});
         self.measure();
         self.steps += 1;
         self.seen.is_present = false;
@@ -456,8 +467,31 @@ impl Env {
         if step.terminated || truncated {
             self.state = State::Over;
         }
-        let (tip_path, peak_force) = (tip_path as f32, peak_force as f32);
-        Ok(Step { truncated, tip_path, peak_force, ..step })
+        let damage = self.damage();
+        Ok(Step {
+            truncated,
+            tip_path: tip_path as f32,
+            peak_force: peak_force as f32,
+            tissue_pressure: tissue_pressure as f32,
+            overstretched: damage.overstretched_share() as f32,
+            crushed: damage.crushed_share() as f32,
+            ..step
+        })
+    }
+
+    /// What was done to the elements of soft bodies.
+    fn damage(&mut self) -> Damage {
+        let Self { task, world, .. } = self;
+        let mut arms = task.arms();
+        let instruments: ArrayVec<&Instrument, MAX_INSTRUMENTS> =
+            arms.iter_mut().map(|arm| &*arm.instrument()).collect();
+        let mut damage = Damage::default();
+        for body in world.soft_bodies() {
+            damage += body.damage(|middle, edge| {
+                instruments.iter().any(|each| each.grips_element(world, middle, edge))
+            });
+        }
+        damage
     }
 
     /// What the present state is worth, but for the time limit and what led to it.

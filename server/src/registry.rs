@@ -167,6 +167,7 @@ impl Made {
             relative,
             options: options::under_preset(known, given),
             images: imaging.map(|imaging| imaging.spec().clone()),
+            has_tissue: self.world.soft_bodies().next().is_some(),
         }
     }
 

@@ -128,7 +128,23 @@ fn it_is_drawn_where_it_is_and_takes_little_memory() {
     assert!(highest > TOP + 4e-3, "its skin is lifted: {highest}");
     assert!(surface.normals.iter().all(|normal| (normal.norm() - 1.0).abs() < 1e-9));
     assert!(world.memory_bytes() < 150 * 1024, "{}", world.memory_bytes());
-    assert!(world.soft(id).strained_beyond(0.0) > 0.9);
+    check_damage(&mut world, id, &jaws);
+}
+
+/// What jaws of 1 N do to fat shows: they crush what they hold, and lifting it overstretches little beside them.
+fn check_damage(world: &mut World, id: SoftId, jaws: &Instrument) {
+    let sheet = world.soft(id);
+    let damage = sheet.damage(|middle, edge| jaws.grips_element(world, middle, edge));
+    assert!(damage.gripped > 1 && damage.gripped < 20, "{damage:?}");
+    assert!(damage.crushed > 0 && damage.overstretched < 10, "{damage:?}");
+    assert_eq!(damage.gripped + damage.free, sheet.lattice().form().elements().count() as u32);
+    // Faces of 5 mm, some 4 mm deep in the sheet.
+    let force = jaws.pressures(world).into_iter().fold(0.0, f64::max);
+    let touched = force / jaws.tissue_pressure(world);
+    assert!((8e-6..50e-6).contains(&touched), "{touched} m², {force} N");
+    let sheet = world.soft_mut(id);
+    sheet.set_ultimate_strain(Some(0.0));
+    assert!(sheet.damage(|_, _| false).overstretched_share() > 0.9);
 }
 
 #[test]

@@ -411,6 +411,9 @@ class TaskSpec:
     def has_goals(self) -> bool:
         """Whether the task has goals."""
     @property
+    def has_tissue(self) -> bool:
+        """Whether there are soft bodies: then infos tell what is done to them."""
+    @property
     def images(self) -> ImageSpec | None:
         """The pictures of an observation; ``None`` where they are not asked for."""
     @property

@@ -24,12 +24,10 @@ from trocar._arrays import selected
 from trocar._goal import GoalFunctions
 from trocar.errors import InvalidEnvIds, InvalidOption, InvalidRequest, refuse
 from trocar.registration import NAMESPACE
-from trocar.vector import EPISODE, EXPERT, NOTHING, OUTCOME, TrocarVectorEnv
+from trocar.vector import EPISODE, EXPERT, TrocarVectorEnv, nothing
 
 METHODS = tuple(name for name in vars(GoalFunctions) if name.startswith("compute_"))
 """What :meth:`TrocarVecEnv.env_method` answers: functions of goals, without asking the server."""
-
-_NOTHING = {key: zero.item() for key, zero in NOTHING.items()}
 
 
 def make_vec(
@@ -80,6 +78,8 @@ class TrocarVecEnv(VecEnv):
                 InvalidOption, "autoreset_mode", envs.autoreset_mode, "allowed is 'same_step'"
             )
         self.envs = envs
+        zeros = nothing(envs.task_spec)
+        self._nothing = {key: zero.item() for key, zero in zeros.items()}
         super().__init__(envs.num_envs, envs.single_observation_space, envs.single_action_space)
         if seed is not None:
             self.seed(seed)
@@ -111,8 +111,8 @@ class TrocarVecEnv(VecEnv):
         told = self._told(infos)
         for row in np.flatnonzero(dones).tolist():
             last = infos["final_info"]
-            self.reset_infos[row] = {**told[row], **_NOTHING}
-            told[row] |= {name: last[name][row].item() for name in (*OUTCOME, *EPISODE)}
+            self.reset_infos[row] = {**told[row], **self._nothing}
+            told[row] |= {name: last[name][row].item() for name in (*self._nothing, *EPISODE)}
             told[row]["terminal_observation"] = infos["final_obs"][row]
         for info, truncated in zip(told, (truncations & ~terminations).tolist(), strict=True):
             info["TimeLimit.truncated"] = truncated
@@ -175,7 +175,7 @@ class TrocarVecEnv(VecEnv):
 
     def _told(self, infos: dict[str, Any]) -> list[dict[str, Any]]:
         """Infos as a dictionary for each environment, with the values of a single one's."""
-        keys = (*OUTCOME, *EPISODE)
+        keys = (*self._nothing, *EPISODE)
         rows = zip(*(infos[key].tolist() for key in keys), strict=True)
         told: list[dict[str, Any]] = [dict(zip(keys, row, strict=True)) for row in rows]
         if EXPERT[0] in infos:

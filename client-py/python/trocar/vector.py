@@ -55,13 +55,19 @@ EPISODE = _keys("episode")
 """Infos that say which episode began; ``episode`` alone is what Gymnasium's recorders use."""
 
 OUTCOME = _keys("step", "fault")
-"""Infos of transitions; see :data:`NOTHING`."""
+"""Infos of every task's transitions; see :func:`nothing`."""
+
+TISSUE = _keys("tissue")
+"""Infos of transitions of tasks with soft bodies."""
 
 EXPERT = _keys("expert")
 """Infos of the scripted expert, where it is asked for."""
 
-NOTHING = {key: np.zeros((), dtype) for _, key, _, dtype in _trocar.INFOS if key in OUTCOME}
-"""What infos of transitions are where a reset made none: false, or 0."""
+
+def nothing(spec: _trocar.TaskSpec) -> dict[str, NDArray[Any]]:
+    """What infos of a task's transitions are where a reset made none: false, or 0."""
+    keys = OUTCOME + TISSUE if spec.has_tissue else OUTCOME
+    return {key: np.zeros((), dtype) for _, key, _, dtype in _trocar.INFOS if key in keys}
 
 
 class TrocarVectorEnv(
@@ -224,7 +230,8 @@ class TrocarVectorEnv(
     def _beginning(self, chosen: NDArray[np.bool_]) -> tuple[Observation, dict[str, Any]]:
         latest = self._latest.arrays(self._copy)
         expert = {name: np.array(latest.pop(name)) for name in EXPERT}
-        nowhere = {key: np.full(chosen.shape, zero) for key, zero in NOTHING.items()}
+        zeros = nothing(self.task_spec)
+        nowhere = {key: np.full(chosen.shape, zero) for key, zero in zeros.items()}
         infos = _masked(chosen, **nowhere, **{name: latest.pop(name) for name in EPISODE})
         if self._connection.expert:
             infos |= _masked(chosen, **expert)

@@ -106,7 +106,9 @@ macro_rules! rows {
 
             /// Writes what a step brought; `fault` is the code of a failure, or 0.
             pub(crate) fn write_step(&mut self, row: usize, step: &Step, fault: u8) {
-                $(trocar_proto::if_step!($role self.$name.row(row)[0] = step.$name.into());)*
+                $(trocar_proto::if_step!($role if let Some(number) = self.$name.row(row).first_mut() {
+                    *number = step.$name.into();
+                });)*
                 self.fault.row(row)[0] = fault;
             }
         }

@@ -283,6 +283,25 @@ impl Instrument {
         self.finger_bodies().iter().filter(presses).count()
     }
 
+    /// The mean pressure of tissue on that of its bodies on which it was greatest in the last substep, Pa.
+    pub fn tissue_pressure(&self, world: &World) -> f64 {
+        if self.stale { 0.0 } else { world.tissue_pressure(&self.bodies()) }
+    }
+
+    /// Whether an element of tissue of this `edge` is between its fingers in part, whichever way they are turned.
+    pub fn grips_element(&self, world: &World, middle: &Point3<f64>, edge: f64) -> bool {
+        let half = self.jaws.finger_half;
+        let fingers = self.world_from_fingers(world);
+        // From the inner face of a finger on, the other finger is on the side of its y axis, or on the other side.
+        (0..2).all(|index| {
+            let at = fingers[index].inverse_transform_point(middle);
+            let reach = 0.5 * edge;
+            at.x.abs() < half.x + reach
+                && (-reach..2.0 * half.z + reach).contains(&at.z)
+                && SIDES[index] * at.y < reach
+        })
+    }
+
     /// The force of a soft body on both fingers together, N, friction included.
     pub fn force_of(&self, world: &World, soft: SoftId) -> Vector3<f64> {
         if self.stale {

@@ -221,6 +221,7 @@ impl Motion {
             effort += Effort {
                 tip_path: (tip(instrument.posture()) - tip(&before)).norm(),
                 peak_force: instrument.jaw_force(world),
+                tissue_pressure: instrument.tissue_pressure(world),
             };
         }
         effort
@@ -245,7 +246,7 @@ impl Motion {
                 }
             }
             effort += match quiet {
-                Some(tip_path) => Effort { tip_path, peak_force: 0.0 },
+                Some(tip_path) => Effort { tip_path, ..Effort::default() },
                 None => self.advance(instruments, world),
             };
         }

@@ -45,7 +45,9 @@ macro_rules! shown {
 
             /// What the last message did.
             fn transition(&mut self, row: usize, step: &Step, fault: u8) {
-                $(trocar_proto::if_step!($role self.$name[row] = step.$name.into());)*
+                $(trocar_proto::if_step!($role if let Some(number) = self.$name.get_mut(row) {
+                    *number = step.$name.into();
+                });)*
                 self.fault[row] = fault;
             }
         }

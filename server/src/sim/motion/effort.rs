@@ -13,6 +13,8 @@ pub struct Effort {
     /// Largest force between a jaw and a body that it touched, N, each the average of a substep; 0 where the jaws
     /// touched nothing. Friction is not in it.
     pub peak_force: f64,
+    /// Largest mean pressure of tissue on a finger or wrist, Pa, each the average of a substep.
+    pub tissue_pressure: f64,
 }
 
 impl AddAssign for Effort {
@@ -20,6 +22,7 @@ impl AddAssign for Effort {
     fn add_assign(&mut self, other: Self) {
         self.tip_path += other.tip_path;
         self.peak_force = self.peak_force.max(other.peak_force);
+        self.tissue_pressure = self.tissue_pressure.max(other.tissue_pressure);
     }
 }
 

@@ -1,12 +1,13 @@
 //! A soft body in the world: its lattice, its skin, what it touches, and whether it sleeps.
 
+use std::ops::AddAssign;
 use std::sync::Arc;
 
-use nalgebra::{Point3, Vector3};
+use nalgebra::{Matrix3, Point3, Vector3};
 
 use super::contact::Contacts;
 use super::lattice::{Form, Lattice};
-use super::material::Friction;
+use super::material::{Friction, Material};
 use super::proxy::{Motor, Proxy};
 use super::skin::{MaterialPoint, Skin};
 use crate::sim::frames::{Aabb, Pose};
@@ -35,6 +36,7 @@ pub struct SoftBody {
     pub(super) lattice: Lattice,
     skin: Arc<Skin>,
     friction: Friction,
+    ultimate_strain: Option<f64>,
     contacts: Contacts,
     /// For how long it has hardly moved, s.
     still: f64,
@@ -51,10 +53,20 @@ impl SoftBody {
         skin: Arc<Skin>,
         world_from_body: &Pose,
     ) -> Self {
-        let friction = form.material.friction;
+        let Material { friction, ultimate_strain, .. } = form.material;
         let lattice = Lattice::new(form, world_from_body);
         let contacts = Contacts::default();
-        Self { name, colour, lattice, skin, friction, contacts, still: 0.0, is_asleep: false }
+        Self {
+            name,
+            colour,
+            lattice,
+            skin,
+            friction,
+            ultimate_strain,
+            contacts,
+            still: 0.0,
+            is_asleep: false,
+        }
     }
 
     /// Its nodes.
@@ -90,6 +102,11 @@ impl SoftBody {
         self.friction = friction;
     }
 
+    /// Sets the greatest principal strain that it bears; none, where that is not known.
+    pub fn set_ultimate_strain(&mut self, strain: Option<f64>) {
+        self.ultimate_strain = strain;
+    }
+
     /// Makes its moduli `stiffness` times those of its material, at most as large.
     pub fn soften(&mut self, stiffness: f64) {
         self.lattice.soften(stiffness);
@@ -109,18 +126,30 @@ impl SoftBody {
         places.iter().map(|place| self.lattice.point(place))
     }
 
-    /// The share of its elements whose greatest principal strain (stretch − 1) is beyond `strain`.
-    pub fn strained_beyond(&self, strain: f64) -> f64 {
+    /// What was done to its elements. Those are between jaws of which `is_gripped` says so: it gets the middle and the
+    /// edge, m.
+    pub fn damage(&self, is_gripped: impl Fn(&Point3<f64>, f64) -> bool) -> Damage {
         let form = self.lattice.form();
-        let (mut all, mut beyond) = (0_u32, 0_u32);
+        let Some(ultimate) = self.ultimate_strain else { return Damage::default() };
+        let middle = |element| MaterialPoint { element, at: [0.5; 3] };
+        let mut damage = Damage::default();
         for element in form.elements() {
+            // Its eigenvalues are the squares of the principal stretches.
             let gradient = self.lattice.deformation_gradient(element);
-            // Eigenvalues of FᵀF are squares of principal stretches.
-            let squares = (gradient.transpose() * gradient).symmetric_eigenvalues();
-            all += 1;
-            beyond += u32::from(squares.max().sqrt() > 1.0 + strain);
+            let squares = gradient.tr_mul(&gradient);
+            if is_gripped(&self.lattice.point(&middle(element as u32)), form.grid.spacing) {
+                let least = (1.0 - ultimate).max(0.0);
+                let above = squares - Matrix3::identity() * (least * least);
+                damage.gripped += 1;
+                damage.crushed += u32::from(!is_positive_definite(&above));
+            } else {
+                let most = 1.0 + ultimate;
+                let below = Matrix3::identity() * (most * most) - squares;
+                damage.free += 1;
+                damage.overstretched += u32::from(!is_positive_definite(&below));
+            }
         }
-        f64::from(beyond) / f64::from(all.max(1))
+        damage
     }
 
     /// Lets `seconds` pass beside these rigid bodies, whose fingers `motors` turn in pairs.
@@ -149,7 +178,7 @@ impl SoftBody {
                 proxy.finish(dt);
             }
         }
-        contacts.finish();
+        contacts.finish(proxies, seconds);
         let may_sleep = !contacts.touches_moving && lattice.fastest() < STILL;
         self.still = if may_sleep { self.still + seconds } else { 0.0 };
         self.is_asleep = self.still > SLEEP_AFTER;
@@ -164,8 +193,50 @@ impl SoftBody {
         let mut contacts = Contacts::default();
         contacts.begin(&self.lattice, &self.skin, &self.friction, &proxies, 0.0);
         let deepest = contacts.deepest(&self.lattice, &proxies);
-        contacts.finish();
+        contacts.finish(&mut proxies, 1.0);
         deepest
+    }
+}
+
+/// Whether a symmetric matrix is positive definite, by Sylvester's criterion. One that is not finite is not.
+fn is_positive_definite(matrix: &Matrix3<f64>) -> bool {
+    let second = matrix.m11 * matrix.m22 - matrix.m12 * matrix.m21;
+    matrix.m11 > 0.0 && second > 0.0 && matrix.determinant() > 0.0
+}
+
+/// What was done to the elements of soft bodies.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct Damage {
+    /// Elements between jaws, and those of them that are compressed beyond the ultimate strain of their material: no source
+    /// has another in compression than in tension.
+    pub gripped: u32,
+    /// See `gripped`.
+    pub crushed: u32,
+    /// Other elements, and those of them that are stretched beyond the ultimate strain.
+    pub free: u32,
+    /// See `free`.
+    pub overstretched: u32,
+}
+
+impl Damage {
+    /// The share of the elements that are not between jaws that are overstretched.
+    pub fn overstretched_share(&self) -> f64 {
+        f64::from(self.overstretched) / f64::from(self.free.max(1))
+    }
+
+    /// The share of the elements between jaws that are crushed.
+    pub fn crushed_share(&self) -> f64 {
+        f64::from(self.crushed) / f64::from(self.gripped.max(1))
+    }
+}
+
+impl AddAssign for Damage {
+    /// Goes on to another body.
+    fn add_assign(&mut self, other: Self) {
+        self.gripped += other.gripped;
+        self.crushed += other.crushed;
+        self.free += other.free;
+        self.overstretched += other.overstretched;
     }
 }
 

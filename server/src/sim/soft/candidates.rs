@@ -26,6 +26,8 @@ pub(super) struct Candidate {
     pub proxy: u16,
     pub part: u16,
     pub friction: f32,
+    /// For how much of the skin it stands, m².
+    pub area: f32,
     /// The nodes that count, by their numbers among [`Nodes`]; how much, and that over their masses.
     count: u8,
     nodes: [u16; CORNERS],
@@ -35,22 +37,26 @@ pub(super) struct Candidate {
     pub mobility: f32,
     /// The impulse of the substep before, N·s, axes of the world.
     pub impulse: Vector3<f32>,
+    /// Whether the part has pressed on it in this step.
+    pub pressed: bool,
 }
 
 impl Candidate {
-    /// A sample beside a part; `key`, `proxy`, `part` and `friction` are to be set.
+    /// A sample beside a part; `key`, `proxy`, `part`, `friction` and `area` are to be set.
     fn new(lattice: &Lattice, place: &MaterialPoint, nodes: &mut Nodes) -> Self {
         let mut candidate = Self {
             key: 0,
             proxy: 0,
             part: 0,
             friction: 0.0,
+            area: 0.0,
             count: 0,
             nodes: [0; CORNERS],
             weights: [0.0; CORNERS],
             mobilities: [0.0; CORNERS],
             mobility: 0.0,
             impulse: Vector3::zeros(),
+            pressed: false,
         };
         let offsets = lattice.form.grid.corner_offsets();
         for (weight, offset) in place.weights().into_iter().zip(offsets) {
@@ -188,13 +194,14 @@ impl Candidates {
             let found = if proxy.is_static { &mut *fixed } else { &mut *moving };
             for (part_number, part) in proxy.parts.iter().enumerate() {
                 let key = u64::from(proxy.key()) << 32 | (part_number as u64) << 24;
-                let mut add = |index: usize, place: &MaterialPoint| {
+                let mut add = |index: usize, place: &MaterialPoint, area: f32| {
                     if part.gap(&lattice.local(place).into(), reach).is_some() {
                         found.push(Candidate {
                             key: key | index as u64,
                             proxy: number as u16,
                             part: part_number as u16,
                             friction: friction as f32,
+                            area,
                             ..Candidate::new(lattice, place, nodes)
                         });
                     }
@@ -203,7 +210,7 @@ impl Candidates {
                 if proxy.is_static {
                     near.samples(boxes, &skin.coarse, |_| true, &mut add);
                     let is_sharp = |element: &Region| part.is_sharp_near(element, skin.spacing);
-                    let add_fine = |index, place: &_| add(index | FINE, place);
+                    let add_fine = |index, place: &_, area| add(index | FINE, place, area);
                     near.samples(boxes, &skin.fine, is_sharp, add_fine);
                 } else {
                     near.samples(boxes, &skin.fine, |_| true, add);
@@ -237,13 +244,14 @@ impl Region {
         boxes: &Boxes,
         samples: &Samples,
         counts: impl Fn(&Self) -> bool,
-        mut visit: impl FnMut(usize, &MaterialPoint),
+        mut visit: impl FnMut(usize, &MaterialPoint, f32),
     ) {
         for (element, range) in &samples.elements {
             let region = boxes.of(*element as usize);
             if region.meets(self) && counts(&region) {
                 for index in range.clone() {
-                    visit(index as usize, &samples.places[index as usize]);
+                    let index = index as usize;
+                    visit(index, &samples.places[index], samples.areas[index]);
                 }
             }
         }

@@ -116,10 +116,11 @@ impl Contacts {
         }
     }
 
-    /// Ends a step: keeps what the next begins with.
-    pub(super) fn finish(&mut self) {
+    /// Ends a step of `seconds`: keeps what the next begins with, and tells moving bodies the pressure on them.
+    pub(super) fn finish(&mut self, proxies: &mut [Proxy], seconds: f64) {
         self.warm.clear();
         let Candidates { fixed, moving, .. } = &self.work.candidates;
+        note_pressures(moving, proxies, seconds);
         for Candidate { key, impulse, .. } in fixed.iter().chain(moving) {
             if *impulse != Vector3::zeros() {
                 self.warm.push(Warm { key: *key, impulse: *impulse });
@@ -258,6 +259,20 @@ fn report(candidates: &mut [Candidate], contacts: &[Contact], proxies: &mut [Pro
         proxy.load.angular -= contact.arm.cross(&impulse).cast::<f64>();
         proxy.load.pressing += normal;
         proxy.load.moment += place.cast::<f64>() * normal;
+        candidate.pressed = true;
+    }
+}
+
+/// Takes note of the mean pressure on each body in a step of `seconds`, over the samples that were pressed. Neighbouring
+/// samples share a force by chance, so what each bears means nothing.
+fn note_pressures(candidates: &[Candidate], proxies: &mut [Proxy], seconds: f64) {
+    for skin in candidates.chunk_by(|one, other| one.proxy == other.proxy) {
+        let pressed = skin.iter().filter(|each| each.pressed);
+        let area: f64 = pressed.map(|each| f64::from(each.area)).sum();
+        if area > 0.0 {
+            let load = &mut proxies[skin[0].proxy as usize].load;
+            load.pressure = load.pressing / (area * seconds);
+        }
     }
 }
 

@@ -36,7 +36,7 @@ mod skin;
 #[cfg(test)]
 mod tests;
 
-pub use body::SoftBody;
+pub use body::{Damage, SoftBody};
 pub use carve::box_distance;
 pub use lattice::{Form, Grid, Lattice};
 pub use material::{Friction, MOST_NODES, MOST_SUBSTEPS, Material, MaterialError};

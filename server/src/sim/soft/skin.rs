@@ -74,13 +74,16 @@ impl MaterialPoint {
 #[derive(Debug, Clone, Default)]
 pub(super) struct Samples {
     pub(super) places: Vec<MaterialPoint>,
+    /// For how much of the skin each stands, m².
+    pub(super) areas: Vec<f32>,
     /// Elements, and which places are in each.
     pub(super) elements: Vec<(u32, Range<u32>)>,
 }
 
 impl Samples {
-    fn new(mut places: Vec<MaterialPoint>) -> Self {
-        places.sort_by_key(|place| place.element);
+    fn new(mut samples: Vec<(MaterialPoint, f32)>) -> Self {
+        samples.sort_by_key(|(place, _)| place.element);
+        let (places, areas): (Vec<_>, _) = samples.into_iter().unzip();
         let mut elements: Vec<(u32, Range<u32>)> = vec![];
         for (index, place) in (0_u32..).zip(&places) {
             match elements.last_mut() {
@@ -88,7 +91,7 @@ impl Samples {
                 _ => elements.push((place.element, index..index + 1)),
             }
         }
-        Self { places, elements }
+        Self { places, areas, elements }
     }
 }
 
@@ -123,12 +126,14 @@ impl Skin {
         let mut samples = Vec::with_capacity(quads.len() * across * across);
         for quad in &quads {
             let corners = quad.map(|vertex| contour.vertices[vertex as usize].coords);
+            let diagonals = (corners[2] - corners[0]).cross(&(corners[3] - corners[1]));
+            let area = 0.5 * diagonals.norm() / (across * across) as f64;
             for index in 0..across * across {
                 let [u, v] = [index % across, index / across]
                     .map(|count| (count as f64 + 0.5) / across as f64);
                 let near = corners[0].lerp(&corners[1], u);
                 let far = corners[3].lerp(&corners[2], u);
-                samples.push(place(&near.lerp(&far, v).into()));
+                samples.push((place(&near.lerp(&far, v).into()), area as f32));
             }
         }
         let triangles = quads.iter().flat_map(|[a, b, c, d]| [[*a, *b, *c], [*a, *c, *d]]);
@@ -136,7 +141,8 @@ impl Skin {
             vertices: contour.vertices.iter().map(|vertex| vertex.cast()).collect(),
             triangles: triangles.collect(),
         };
-        let (fine, coarse) = (Samples::new(samples), Samples::new(vertices.clone()));
+        let unweighted = vertices.iter().map(|vertex| (*vertex, 0.0)).collect();
+        let (fine, coarse) = (Samples::new(samples), Samples::new(unweighted));
         Self { vertices, rest: Arc::new(rest), fine, coarse, spacing: spacing as f32 }
     }
 

@@ -43,6 +43,8 @@ pub(super) struct SoftTouch {
     pub pressure: f64,
     /// Where, m.
     pub point: Point3<f64>,
+    /// Mean pressure over the skin that pressed on it, Pa.
+    pub mean_pressure: f64,
 }
 
 /// A finger that passed the substep beside a soft body.
@@ -85,6 +87,21 @@ impl World {
     pub fn soft_mut(&mut self, id: SoftId) -> &mut SoftBody {
         let body: &mut dyn Any = &mut *self.others[id.0];
         body.downcast_mut().expect("bodies stay what they are")
+    }
+
+    /// All soft bodies.
+    pub fn soft_bodies(&self) -> impl Iterator<Item = &SoftBody> {
+        self.others.iter().filter_map(|body| {
+            let body: &dyn Any = &**body;
+            body.downcast_ref()
+        })
+    }
+
+    /// The mean pressure of tissue on that of some bodies on which it was greatest in the last substep, Pa.
+    pub fn tissue_pressure(&self, on: &[BodyId]) -> f64 {
+        let touches = self.soft_touches.iter();
+        let touches = touches.filter(|touch| on.iter().any(|body| body.0 == touch.body));
+        touches.map(|touch| touch.mean_pressure).fold(0.0, f64::max)
     }
 
     /// The force of a soft body on a rigid one in the last substep, N, friction included.
@@ -213,6 +230,7 @@ impl World {
                     force: load.impulse * SUBSTEPS_PER_SECOND,
                     pressure: load.pressing * SUBSTEPS_PER_SECOND,
                     point: Point3::from(origin + load.moment / load.pressing),
+                    mean_pressure: load.pressure,
                 });
             }
             if self.is_hinged(handle) {
