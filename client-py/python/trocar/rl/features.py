@@ -6,6 +6,7 @@ same as a part of a network, so that an exported policy has its features inside.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -27,6 +28,9 @@ state where the option ``observation`` has that word."""
 
 LARGEST = 3.0
 """Where offsets are clipped that are not squashed."""
+
+_CONTACT = re.compile(r"finger [12] (contact|force)$")
+"""Names of what the word ``contact`` adds to an observation, after the state."""
 
 Part = Mapping[str, Any]
 
@@ -242,6 +246,6 @@ class BatchInputs:
 def _described(spec: trocar.TaskSpec) -> tuple[dict[str, int], list[Part]]:
     """How many numbers each word means in a task, and what computes its relative features."""
     goal = len(spec.goal or [])
-    contact = sum("finger " in element.name for element in spec.observation)
+    contact = sum(bool(_CONTACT.search(element.name)) for element in spec.observation)
     sizes = {STATE: len(spec.observation) - contact, **dict.fromkeys(GOALS, goal)}
     return sizes | {RELATIVE: len(spec.relative), CONTACT: contact}, list(spec.relative_program)
