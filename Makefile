@@ -288,6 +288,12 @@ bench-async: release ## * 64 environments: a session against Gymnasium's AsyncVe
 	TROCAR_BINARY=$(TARGET)/release/trocar $(BIN)/python client-py/benches/async_vector_env.py \
 		--simulation $(TARGET)/release/examples/libin_process.so
 
+.PHONY: bench-soft
+bench-soft: .venv-mujoco/ready ## * a slab of tissue: this simulation against rapier's soft bodies and MuJoCo's, in turns
+	bench=$$($(CARGO) bench --locked -p trocar-server --bench soft --no-run --message-format=json | \
+		sed -nE 's/.*"executable":"([^"]*soft-[^"]*)".*/\1/p' | tail -n 1); \
+	taskset --cpu-list 0 $(MUJOCO_BIN)/python client-py/benches/soft_slab.py "$$bench"
+
 # What draws pictures is compared with in PyBullet.
 .PHONY: bench-tiny-renderer
 bench-tiny-renderer: .venv-bullet/ready ## * a picture of NeedlePick: this renderer against PyBullet's, in turns
