@@ -259,8 +259,8 @@ impl Motion {
         instruments: &mut [&mut Instrument],
         world: &World,
     ) -> Option<f64> {
-        let is_streamed = |way: &Way| matches!(way.profile, Profile::Streamed(_));
-        if until - self.now > 1 && self.ways.iter().any(is_streamed) {
+        let may_bend = |way: &Way| matches!(way.profile, Profile::Streamed(_) | Profile::Traced(_));
+        if until - self.now > 1 && self.ways.iter().any(may_bend) {
             None // its set-points need not be on a straight way
         } else if until == self.substeps {
             self.finish(instruments, world)

@@ -362,7 +362,8 @@ impl BiPegTransfer {
         let is_low = up > peg_expert::PASS - least;
         match hand_over.phase(two, one, world, input) {
             Phase::Under(_) if is_low => {
-                let lifting = bimanual::carried(two, Vector3::z() * up);
+                let lifting = peg_expert::lifting(two, block, &pose, up);
+                let lifting = bimanual::carried(two, lifting);
                 (Stage::Lift, [self.waiting(one), lifting])
             }
             Phase::Under([giver, taker]) => {

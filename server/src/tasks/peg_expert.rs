@@ -4,7 +4,7 @@
 //! wall of the block, goes down with one finger between wall and peg, closes, and lifts the block over the
 //! pegs. It brings the block over its target, lets it down, opens, and leaves.
 
-use nalgebra::Vector3;
+use nalgebra::{Point3, Vector3};
 use trocar_proto::Stage;
 
 use super::expert::{ArmView, ExpertInput};
@@ -73,6 +73,15 @@ const LET_GO: f64 = 1e-3;
 /// How far below the board a block is sent that is let down, m: the board stops it.
 const PRESS: f64 = 0.5e-3;
 
+/// How much a block hangs askew that cannot be let down all the way about a peg, rad.
+const ASKEW: f64 = 0.15;
+
+/// How deep the peg must be in such a block that is let go, m, and where it was held up; and from how far above it is let
+/// down.
+const SLIDES: f64 = 6e-3;
+const CATCHES: f64 = 2e-3;
+const ABOVE: f64 = 6e-3;
+
 /// A block that is to go to a target.
 #[derive(Debug, Clone, Copy)]
 pub struct Transfer {
@@ -117,28 +126,56 @@ impl Transfer {
             return (Stage::Place, (by(Vector3::z() * up.max(0.0)), JAW_OPEN));
         }
         if held {
-            let (stage, way) = self.carry(arm, &block);
-            return (stage, (by(way), JAW_CLOSED));
+            let (stage, way, jaw) = self.carry(arm, &block);
+            return (stage, (by(way), jaw));
         }
         self.pick(arm, &block)
     }
 
-    /// What is done with a held block now, and the way on which it goes.
-    fn carry(&self, arm: &ArmView<'_>, block: &Pose) -> (Stage, Vector3<f64>) {
+    /// What is done with a held block now, the way on which it goes, and the angle of the jaws, rad.
+    fn carry(&self, arm: &ArmView<'_>, block: &Pose) -> (Stage, Vector3<f64>, f64) {
+        if arm.arm().stays_tilted() && (block.rotation * Vector3::z()).z < libm::cos(ASKEW) {
+            return self.carry_askew(arm, block);
+        }
         let held = held_wall(self.block, block, &arm.wrist);
         let goal = PegBoard::peg(self.target) + outwards(self.block, block, held) * OFF_AXIS;
         let way = level(&(goal - block.translation.vector));
         let bottom = bottom(self.block, block);
         let passes = bottom - peg_top();
         let near = if passes < 0.0 { STILL_OVER } else { OVER };
-        if way.norm() < near && arm.is_held_up() && passes < 0.0 {
+        let (stage, way) = if way.norm() < near && arm.is_held_up() && passes < 0.0 {
             (Stage::Place, way + Vector3::z() * BACK) // it came down on the peg
         } else if way.norm() < near {
             (Stage::Place, way + Vector3::z() * (PegBoard::top() - PRESS - bottom))
         } else if passes < 0.5 * PASS {
-            (Stage::Lift, Vector3::z() * (PASS - passes))
+            (Stage::Lift, lifting(arm, self.block, block, PASS - passes))
         } else {
             (Stage::Carry, way + Vector3::z() * (PASS - passes))
+        };
+        (stage, way, JAW_CLOSED)
+    }
+
+    /// The same of a block that hangs askew: it goes along its axis, is let go about the peg, and slides down that.
+    fn carry_askew(&self, arm: &ArmView<'_>, block: &Pose) -> (Stage, Vector3<f64>, f64) {
+        let peg = PegBoard::peg(self.target);
+        let tip = Point3::new(peg.x, peg.y, peg_top());
+        let tip_in_block = block.inverse_transform_point(&tip);
+        let half = self.block.half_height();
+        let on_axis = |deep: f64| block * Point3::new(0.0, 0.0, deep - half);
+        // How deep the peg is in the block.
+        let deep = tip_in_block.z + half;
+        let is_about = deep > 0.0 && level(&tip_in_block.coords).norm() < STILL_OVER;
+        let way = level(&(tip - on_axis(0.0)));
+        let is_over = (-ABOVE..=0.0).contains(&deep) && way.norm() < OVER;
+        let passes = bottom(self.block, block) - peg_top();
+        if is_about && (deep > SLIDES || deep > CATCHES && arm.is_held_up()) {
+            (Stage::Place, Vector3::zeros(), JAW_OPEN)
+        } else if is_about && !arm.is_held_up() || is_over {
+            (Stage::Place, tip - on_axis(SLIDES + CATCHES), JAW_CLOSED)
+        } else if passes < 0.5 * PASS {
+            (Stage::Lift, lifting(arm, self.block, block, PASS - passes), JAW_CLOSED)
+        } else {
+            (Stage::Carry, way + Vector3::z() * (PASS - passes), JAW_CLOSED)
         }
     }
 
@@ -260,6 +297,26 @@ pub(super) fn grasp_in_air(block: Block, pose: &Pose, wall: usize, wrist: &Pose)
     let at = Vector3::new(middle.x, middle.y, top - DEPTH + TIP_OFFSET);
     let across = Vector3::z().cross(&outwards(block, pose, wall));
     Pose::from_parts(at.into(), jaws_across(&across, wrist))
+}
+
+/// The way on which a held block is lifted by `up`, m: where one that may hang askew is caught on its peg, off that.
+pub(super) fn lifting(arm: &ArmView<'_>, block: Block, pose: &Pose, up: f64) -> Vector3<f64> {
+    let is_caught = arm.is_held_up() && arm.arm().stays_tilted();
+    Vector3::z() * up + if is_caught { way_off_peg(block, pose) } else { Vector3::zeros() }
+}
+
+/// The level way that brings the axis of a block to the peg that it is about, m; none where it is about no peg.
+fn way_off_peg(block: Block, pose: &Pose) -> Vector3<f64> {
+    let axis = pose.rotation * Vector3::z();
+    let centre = pose.translation.vector;
+    // The middle of the part of the peg that is in the block.
+    let half = block.half_height() * axis.z;
+    let height = 0.5 * ((centre.z - half).max(PegBoard::top()) + (centre.z + half).min(peg_top()));
+    let middle = centre + axis * ((height - centre.z) / axis.z.max(0.5));
+    let ways = (0..PegBoard::PEGS).map(|peg| level(&(PegBoard::peg(peg) - middle)));
+    let nearest = ways.min_by(|a, b| a.norm().total_cmp(&b.norm())).expect("there are pegs");
+    let is_about = nearest.norm() < block.radius() && centre.z - half < peg_top();
+    if is_about { nearest } else { Vector3::zeros() }
 }
 
 /// Height of the lowest point of a block, m: it may hang askew.

@@ -101,7 +101,7 @@ impl Pick {
         let deep = Pose::from(Vector3::z() * -self.press) * self.grasp;
         let off = arm.aim.translation.vector - self.grasp.translation.vector;
         let turned = (arm.aim.rotation * self.grasp.rotation.inverse()).scaled_axis().z.abs();
-        let (aside, is_turned) = (off.xy().norm(), turned < TURNED);
+        let (aside, is_turned) = (off.xy().norm(), turned < TURNED || !arm.arm().turns());
         let is_low = off.z < LOW || off.z < LOW_ENOUGH && (arm.is_held_up() || arm.is_lowest());
         let is_closing = arm.closes() && off.norm() < CLOSING + self.press && !arm.is_closed();
         let is_about = aside < ABOUT && is_turned && is_low && arm.is_open() && !arm.closes();

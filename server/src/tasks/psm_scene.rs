@@ -424,6 +424,11 @@ impl PsmArm {
         &self.scene_from_wrist
     }
 
+    /// Whether its actions turn the jaws about the vertical.
+    pub fn turns(&self) -> bool {
+        self.mode != ActionMode::Paper || self.paper.turn == Turn::Vertical
+    }
+
     /// The wrist as it truly is, scene frame.
     pub fn true_wrist(&self) -> &Pose {
         &self.instrument.posture().world_from_wrist

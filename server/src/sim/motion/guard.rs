@@ -15,7 +15,7 @@
 
 use nalgebra::Point3;
 
-use super::{Instrument, Way};
+use super::{Instrument, Profile, Way};
 use crate::sim::instrument::Posture;
 use crate::sim::world::{Overlap, Push, World};
 
@@ -76,7 +76,8 @@ pub(super) fn drive(
         let hold = if instrument.grips() { HOLD_OVERLAP_GRIPPING } else { HOLD_OVERLAP_LOCKED };
         let done = way.done;
         let stop = instrument.stopped_by(world, &to);
-        way.done = match resistance(&way.push, &from, &to, hold) {
+        let last = matches!(way.profile, Profile::Traced(_)).then(|| way.profile.end());
+        way.done = match resistance(&way.push, [&from, &to], last.as_ref(), hold) {
             Resistance::Drives => way.done.saturating_sub(1),
             Resistance::Holds => way.done,
             Resistance::None if waits || stop.is_some() => way.done,
@@ -117,19 +118,28 @@ enum Resistance {
     Drives,
 }
 
-/// What `push` does to the motion from `start` to `end`, which waits beyond an overlap of `hold`, m.
-fn resistance(push: &Push, start: &Posture, end: &Posture, hold: f64) -> Resistance {
-    let end_from_start = end.world_from_wrist * start.world_from_wrist.inverse();
-    let moves = |point: &Point3<f64>| end_from_start * point - point;
+/// What `push` does to the motion from one posture to the next, which waits beyond an overlap of `hold`, m; but not
+/// where it leads out of that to `last`: plays that are taken up first move jaws by micrometres whichever way.
+fn resistance(
+    push: &Push,
+    [start, next]: [&Posture; 2],
+    last: Option<&Posture>,
+    hold: f64,
+) -> Resistance {
+    let way = |end: &Posture, point: &Point3<f64>| {
+        end.world_from_wrist * start.world_from_wrist.inverse() * point - point
+    };
+    let moves = |point: &Point3<f64>| way(next, point);
     let force = match moves(&push.point).try_normalize(LEAST_MOTION) {
         Some(direction) => -push.force.dot(&direction),
         None => 0.0,
     };
     let Overlap { depth, point, into } = push.overlap;
     let presses_on = moves(&point).dot(&into) > LEAST_MOTION;
+    let leads_out = || last.is_some_and(|last| way(last, &point).dot(&into) <= 0.0);
     if force > YIELD_FORCE || (presses_on && depth > YIELD_OVERLAP) {
         Resistance::Drives
-    } else if presses_on && depth > hold {
+    } else if presses_on && depth > hold && !leads_out() {
         Resistance::Holds
     } else {
         Resistance::None

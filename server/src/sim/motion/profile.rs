@@ -27,6 +27,9 @@ pub enum Profile {
     },
     /// Through set-points of each substep, which come one by one; the first is where it begins.
     Streamed(VecDeque<Posture>),
+    /// Through postures of each substep, as a drivetrain with play and lag brings them about; the first is where it
+    /// begins. While plays are taken up, it goes by micrometres, whichever way.
+    Traced(Vec<Posture>),
 }
 
 impl Profile {
@@ -54,6 +57,9 @@ impl Profile {
             Self::Streamed(points) => {
                 Posture { jaw: points[jaw as usize].jaw, ..points[wrist as usize] }
             }
+            Self::Traced(points) => {
+                Posture { jaw: points[jaw as usize].jaw, ..points[wrist as usize] }
+            }
         }
     }
 
@@ -61,7 +67,9 @@ impl Profile {
     pub fn covered(&self, done: u32, substeps: u32) -> f64 {
         match self {
             Self::Smoothstep { .. } => smoothstep(done, substeps),
-            Self::Bend { .. } | Self::Streamed(_) => f64::from(done) / f64::from(substeps.max(1)),
+            Self::Bend { .. } | Self::Streamed(_) | Self::Traced(_) => {
+                f64::from(done) / f64::from(substeps.max(1))
+            }
         }
     }
 
@@ -73,6 +81,7 @@ impl Profile {
         match self {
             Self::Smoothstep { end, .. } | Self::Bend { end, .. } => *end,
             Self::Streamed(points) => *points.back().expect("it begins somewhere"),
+            Self::Traced(points) => *points.last().expect("it begins somewhere"),
         }
     }
 }

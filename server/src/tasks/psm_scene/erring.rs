@@ -5,8 +5,6 @@
 //! there is a transmission, encoders follow them late and links follow those with play, so that the path of the
 //! instrument is known substep by substep.
 
-use std::collections::VecDeque;
-
 use nalgebra::{Point3, UnitQuaternion, Vector3};
 
 use super::{ActionMode, Commanded, PsmArm};
@@ -47,11 +45,15 @@ impl PsmArm {
         first(&self.drivetrain.settled(&self.joints))
     }
 
-    /// A true wrist as an expert counts with it whose actions cannot tilt jaws: as much tilted as sensors have it, with the
-    /// true tip of the closed jaws, and truly turned about them. Of an arm without a transmission, or whose actions can
-    /// turn it in any direction, the true wrist itself.
+    /// Whether cables tilt its jaws and its actions cannot tilt them back.
+    pub fn stays_tilted(&self) -> bool {
+        self.drivetrain.gives() && self.mode == ActionMode::Paper
+    }
+
+    /// A true wrist as an expert counts with it whose arm [stays tilted](Self::stays_tilted): as much tilted as sensors
+    /// have it, with the true tip of the closed jaws, and truly turned about them. Of others the true wrist itself.
     pub fn as_upright_as(&self, sensed: &Pose, truth: &Pose) -> Pose {
-        if !self.drivetrain.gives() || self.mode != ActionMode::Paper {
+        if !self.stays_tilted() {
             return *truth;
         }
         let jaws = sensed.rotation * Vector3::z_axis();
@@ -75,7 +77,7 @@ impl PsmArm {
         let mut drivetrain = self.drivetrain.clone();
         self.told.clear();
         self.told.push((start.clone(), drivetrain.clone()));
-        let mut postures = VecDeque::from([*self.instrument.posture()]);
+        let mut postures = vec![*self.instrument.posture()];
         for now in 1..=substeps {
             let told = if is_nominal {
                 between(&start, end, smoothstep(now, substeps))
@@ -85,10 +87,10 @@ impl PsmArm {
             };
             let [_, links] = drivetrain.advance(&told, 1.0 / SUBSTEPS_PER_SECOND);
             let world_from_wrist = self.pose_of(&first(&links));
-            postures.push_back(Posture { world_from_wrist, jaw: links[6] });
+            postures.push(Posture { world_from_wrist, jaw: links[6] });
             self.told.push((told, drivetrain.clone()));
         }
-        Profile::Streamed(postures)
+        Profile::Traced(postures)
     }
 
     /// Takes note of how far an arm with a transmission came. What holds the links holds the encoders, too.
