@@ -62,6 +62,7 @@ JAW_COMMANDS = {
     "jaw/move_jp": JointState,
     "jaw/servo_jf": JointState,
     "emulate_tool_present": Bool,
+    "emulate_fault": String,
 }
 
 

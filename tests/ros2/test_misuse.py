@@ -177,6 +177,26 @@ def test_b11_services_answer_along_the_chain_and_back(homed_once: Arm) -> None:
     assert not ros.call(inverse, request).result
 
 
+def test_faults_that_are_emulated_are_met_as_real_ones_are(homed: Arm) -> None:
+    def emulate(word: str) -> None:
+        homed.send("emulate_fault", String(data=word))
+
+    emulate("stuck_jaw")
+    time.sleep(0.5)  # two topics have no order
+    assert homed.jaw(30 * DEGREE).wait()
+    assert homed.fresh("jaw/setpoint_js").position[0] > 29 * DEGREE
+    assert homed.fresh("jaw/measured_js").position[0] < 0.1
+    emulate("none")
+    assert homed.ros.until(lambda: homed.latest["jaw/measured_js"].position[0] > 29 * DEGREE, 5.0)
+    emulate("lost_homing")
+    assert homed.ros.until(lambda: not homed.state.is_homed, 5.0)
+    assert homed.home(10)
+    emulate("fault")
+    assert homed.ros.until(lambda: homed.state.state == "FAULT", 5.0)
+    assert homed.enable(5)
+    assert homed.home(10)
+
+
 def test_b12_a_script_that_starts_late_learns_the_state_by_homing(homed_once: Arm) -> None:
     late = Arm(homed_once.ros, "PSM1")
     late.check_connections()
