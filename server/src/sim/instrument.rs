@@ -248,12 +248,14 @@ impl Instrument {
         self.finger_bodies().iter().filter(|finger| world.touch(**finger, object)).count()
     }
 
-    /// Which of its fingers press on an object; both where one is attached to the wrist.
+    /// Which of its fingers press on an object, rigid or soft; both where one is attached to the wrist.
     pub fn contacts(&self, world: &World) -> [bool; 2] {
         if self.stale || self.attached.is_some() {
             return [self.attached.is_some(); 2];
         }
-        self.finger_bodies().map(|finger| world.objects().any(|object| world.touch(finger, object)))
+        self.finger_bodies().map(|finger| {
+            world.touches_soft(finger) || world.objects().any(|object| world.touch(finger, object))
+        })
     }
 
     /// How hard everything together pressed on each finger in the last substep, N.
@@ -288,26 +290,39 @@ impl Instrument {
         if self.stale { 0.0 } else { world.tissue_pressure(&self.bodies()) }
     }
 
-    /// Whether an element of tissue of this `edge` is between its fingers in part, whichever way they are turned.
+    /// Whether an element of tissue of this `edge` is between its fingers in part.
     pub fn grips_element(&self, world: &World, middle: &Point3<f64>, edge: f64) -> bool {
+        self.is_between(world, middle, 0.5 * edge)
+    }
+
+    /// Attaches what is between its fingers of a soft body's skin, or up to `distance` (m) from there, to its wrist.
+    pub fn attach_skin(&self, world: &mut World, soft: SoftId, distance: f64) {
+        if self.stale {
+            return;
+        }
+        let now = world.clone();
+        world.attach_skin(soft, self.wrist, |point| self.is_between(&now, point, distance));
+    }
+
+    /// Whether a point is between its fingers, whichever way they are turned, or up to `reach` (m) from there.
+    fn is_between(&self, world: &World, point: &Point3<f64>, reach: f64) -> bool {
         let half = self.jaws.finger_half;
         let fingers = self.world_from_fingers(world);
         // From the inner face of a finger on, the other finger is on the side of its y axis, or on the other side.
         (0..2).all(|index| {
-            let at = fingers[index].inverse_transform_point(middle);
-            let reach = 0.5 * edge;
+            let at = fingers[index].inverse_transform_point(point);
             at.x.abs() < half.x + reach
                 && (-reach..2.0 * half.z + reach).contains(&at.z)
                 && SIDES[index] * at.y < reach
         })
     }
 
-    /// The force of a soft body on both fingers together, N, friction included.
+    /// The force of a soft body on all of it, N, friction included.
     pub fn force_of(&self, world: &World, soft: SoftId) -> Vector3<f64> {
         if self.stale {
             return Vector3::zeros();
         }
-        self.finger_bodies().iter().map(|finger| world.soft_force(soft, *finger)).sum()
+        self.bodies().iter().map(|body| world.soft_force(soft, *body)).sum()
     }
 
     /// Whether `object` is attached to the wrist.

@@ -81,8 +81,10 @@
 //! - `instrument`: `tissue_forceps`: jaws 5 mm broad and profiled; `needle_driver`: 1.8 mm broad and smooth.
 //! - `squeeze`: force with which each finger squeezes, 0.5 to 4 N; 1 N.
 //! - `arm = "si"`: the arm of the S and Si in place of the first generation's, see [`psm_scene`](super::psm_scene).
-//! - `domain`: `modulus` (5,000 to 20,000 Pa; Young's modulus), `friction` (coefficient of profiled jaws on the gauze),
-//!   and `observation_noise`, `joint_offset`, `latency` and the others that all PSM tasks have.
+//! - `grasp = "approx"`: the skin between closed jaws, or up to `grasp_distance` (2 mm) from there, is attached to the wrist
+//!   without friction until the jaws open.
+//! - `domain`: `modulus` (5,000 to 20,000 Pa; Young's modulus), `thickness` (1.5 to 4 mm, in m; 2.5 mm), `friction`
+//!   (coefficient of profiled jaws on the gauze), and `observation_noise`, `joint_offset`, `latency` and the others that all PSM tasks have.
 //! - `setup`: `base` (x, y, z in m and turn in rad of the arm's base), `table_height` (m). The arm
 //!   must reach the whole workspace.
 //!
@@ -107,6 +109,7 @@ use super::options::{Domain, Preset};
 use super::pick;
 use super::psm_scene::{PaperAction, PsmArm, REACH, Turn, WORKSPACE};
 use super::relative;
+use super::soft_grasp::SoftGrasp;
 use super::theatre;
 use super::tissue::{self, Substance};
 use super::tissue_task::{self, HOLD, SHOWN};
@@ -119,8 +122,11 @@ use crate::sim::random::Rng;
 use crate::sim::soft::{Form, MaterialPoint, Skin, SoftBody, box_distance};
 use crate::sim::world::{SoftId, World};
 
-/// Half extents, m.
-const HALF: Vector3<f64> = Vector3::new(0.02, 0.0125, 1.25e-3);
+/// Thickness where `domain` has none, m.
+const THICKNESS: f64 = 2.5e-3;
+
+/// Half extents then, m.
+const HALF: Vector3<f64> = Vector3::new(0.02, 0.0125, 0.5 * THICKNESS);
 
 /// Edge of an element, m.
 const SPACING: f64 = 2.5e-3;
@@ -129,7 +135,13 @@ const SPACING: f64 = 2.5e-3;
 const COLOUR: [f32; 3] = [0.96, 0.96, 0.94];
 
 /// What it is made of, and the Young's moduli that `domain` may have, Pa.
-const SUBSTANCE: Substance = Substance { material: "gauze", modulus: 10e3, moduli: [5e3, 20e3] };
+const SUBSTANCE: Substance = Substance {
+    material: "gauze",
+    modulus: 10e3,
+    moduli: [5e3, 20e3],
+    thickness: THICKNESS,
+    thicknesses: [1.5e-3, 4e-3],
+};
 
 /// How far its long side is turned from x, at most, rad.
 const TURNED: f64 = FRAC_PI_6;
@@ -174,11 +186,14 @@ const EMPTY: f64 = 0.02;
 pub struct GauzePlace {
     arm: PsmArm,
     gauze: SoftId,
+    grasp: SoftGrasp,
     domain: Domain,
     middle: MaterialPoint,
     outline: Vec<MaterialPoint>,
     /// Where the middle is when the gauze lies on the spot, m.
     goal: Vector3<f64>,
+    /// Thickness of this episode's gauze, m.
+    thickness: f64,
     covered: f64,
     /// Steps in a row at whose ends no finger pressed on the gauze.
     free: u32,
@@ -211,8 +226,11 @@ impl Registered for GauzePlace {
         let paper = PaperAction { turn: Turn::Vertical, jaw: true };
         let arm = PsmArm::insert(&mut world, options, paper, tissue_task::station(options))?;
         let goal = resting().translation.vector;
-        let (covered, free) = (0.0, 0);
-        Ok((Self { arm, gauze, domain, middle, outline, goal, covered, free }, world))
+        let (thickness, covered, free) = (SUBSTANCE.thickness, 0.0, 0);
+        let grasp = SoftGrasp::new(options, gauze);
+        let task =
+            Self { arm, gauze, grasp, domain, middle, outline, goal, thickness, covered, free };
+        Ok((task, world))
     }
 }
 
@@ -244,19 +262,20 @@ impl Task for GauzePlace {
     }
 
     fn reset(&mut self, world: &mut World, rng: &mut Rng) {
-        SUBSTANCE.vary(&self.domain, self.gauze, world, rng);
+        self.thickness = SUBSTANCE.vary(&self.domain, self.gauze, &resting(), world, rng);
         // A gauze that is turned stays within a circle.
         let half = HALF.xy().norm();
         let mut along =
             |axis: usize| rng.uniform(WORKSPACE.min[axis] + half, WORKSPACE.max[axis] - half);
-        let at = Vector3::new(along(0), along(1), resting().translation.z);
+        let at = Vector3::new(along(0), along(1), tray::pad().max.z + 0.5 * self.thickness);
         self.goal = at;
         while (self.goal - at).norm() < APART {
             self.goal = Vector3::new(along(0), along(1), at.z);
         }
         let turn =
             UnitQuaternion::from_axis_angle(&Vector3::z_axis(), rng.uniform(-TURNED, TURNED));
-        let laid = Pose::from_parts(at.into(), turn);
+        let mut laid = Pose::from_parts(at.into(), turn);
+        laid.translation.z = resting().translation.z;
         world.soft_mut(self.gauze).carry(&(laid * resting().inverse()));
         (self.covered, self.free) = (0.0, HOLD);
         self.arm.reset(world, rng);
@@ -268,8 +287,9 @@ impl Task for GauzePlace {
         Ok(())
     }
 
-    fn command(&mut self, _: &mut World, action: Option<&[f32]>) {
+    fn command(&mut self, world: &mut World, action: Option<&[f32]>) {
         self.arm.command(action);
+        self.grasp.command(&self.arm, world);
     }
 
     fn arms(&mut self) -> Arms<'_> {
@@ -277,7 +297,8 @@ impl Task for GauzePlace {
     }
 
     fn after_step(&mut self, world: &mut World) {
-        let is_free = self.arm.fingers_on(world, self.gauze) == 0;
+        self.grasp.after_step(&mut self.arm, world);
+        let is_free = self.grasp.is_free(&self.arm, world);
         self.free = if is_free { (self.free + 1).min(HOLD) } else { 0 };
         let spot = self.spot();
         let above = spot + Vector3::z();
@@ -339,7 +360,7 @@ impl GauzePlace {
 
     /// The middle of the spot, on the pad, m.
     fn spot(&self) -> Vector3<f64> {
-        self.goal - Vector3::z() * HALF.z
+        self.goal - Vector3::z() * (0.5 * self.thickness)
     }
 
     /// What a scripted expert does now: where the wrist goes for it, and the angle of the jaws, rad. It takes the gauze in
@@ -370,7 +391,8 @@ impl GauzePlace {
             let up = if arm.is_open() { rise(CARRIED) } else { Pose::identity() };
             return (Stage::Carry, up * arm.wrist, JAW_OPEN);
         }
-        let top = middle.z.clamp(self.goal.z, self.goal.z + 2.0 * HALF.z) + HALF.z;
+        let half = 0.5 * self.thickness;
+        let top = middle.z.clamp(self.goal.z, self.goal.z + 2.0 * half) + half;
         let wrist = Vector3::new(middle.x, middle.y, top - DEPTH + TIP_OFFSET);
         let [first, second] = [3, 7].map(|index| self.outline[index]);
         let lattice = world.soft(self.gauze).lattice();
@@ -404,7 +426,7 @@ impl GauzePlace {
             return false;
         }
         match input.sees {
-            Sees::Truth => arm.arm().fingers_on(world, self.gauze) == 2,
+            Sees::Truth => self.grasp.holds(arm.arm(), world),
             Sees::Measured => {
                 let tip = arm.wrist * Point3::new(0.0, 0.0, TIP_OFFSET);
                 arm.opening > EMPTY && (tip.coords - middle).norm() < 2.0 * CLOSING

@@ -74,6 +74,7 @@ pub mod psm_scene;
 pub mod rate;
 pub mod reaching;
 pub(crate) mod relative;
+pub mod soft_grasp;
 pub mod start;
 pub mod state;
 pub mod static_track;

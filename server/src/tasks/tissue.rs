@@ -18,8 +18,11 @@ use crate::sim::soft::{
 };
 use crate::sim::world::{SoftId, World};
 
-/// Half extents, m.
-pub const HALF: Vector3<f64> = Vector3::new(0.03, 0.03, 4e-3);
+/// Thickness where `domain` has none, m.
+const THICKNESS: f64 = 8e-3;
+
+/// Half extents then, m.
+pub const HALF: Vector3<f64> = Vector3::new(0.03, 0.03, 0.5 * THICKNESS);
 
 /// Middle of the sheet, x and y, m.
 const MIDDLE: [f64; 2] = [0.545, 0.0];
@@ -32,7 +35,13 @@ const HELD: f64 = 1e-3;
 
 /// What it is made of: fat that is compressed by a third has about this Young's modulus, and fat that is compressed to half
 /// its thickness or less those that `domain` may have.
-const SUBSTANCE: Substance = Substance { material: "fat", modulus: 5e3, moduli: [3e3, 8e3] };
+const SUBSTANCE: Substance = Substance {
+    material: "fat",
+    modulus: 5e3,
+    moduli: [3e3, 8e3],
+    thickness: THICKNESS,
+    thicknesses: [6e-3, 10e-3],
+};
 
 /// Substeps within which a sheet comes to rest.
 const SETTLING: u32 = 4800;
@@ -49,11 +58,13 @@ pub struct Sheet {
     soft: SoftId,
     observed: Vec<MaterialPoint>,
     domain: Domain,
+    /// Of this episode, m.
+    thickness: f64,
 }
 
 impl Sheet {
     /// The rows of `domain` that say what it is like.
-    pub fn rows() -> [RowSpec; 2] {
+    pub fn rows() -> Vec<RowSpec> {
         SUBSTANCE.rows()
     }
 
@@ -72,7 +83,8 @@ impl Sheet {
         let observed = observed.collect();
         let mut world = tray::furnished_world(Preset::Paper);
         let body = SoftBody::new("sheet", COLOUR, Arc::new(form), Arc::new(skin), &Self::pose());
-        let sheet = Self { soft: world.insert_soft(body), observed, domain };
+        let thickness = SUBSTANCE.thickness;
+        let sheet = Self { soft: world.insert_soft(body), observed, domain, thickness };
         settle(&mut world);
         Ok((world, sheet))
     }
@@ -83,9 +95,15 @@ impl Sheet {
         Pose::translation(x, y, tray::pad().max.z + HALF.z)
     }
 
-    /// Draws this episode's friction and modulus, where they vary, and lets a sheet of another modulus come to rest.
+    /// Draws what this episode's sheet is like, where that varies, and lets it come to rest.
     pub fn vary(&mut self, world: &mut World, rng: &mut Rng) {
-        SUBSTANCE.vary(&self.domain, self.soft, world, rng);
+        self.thickness = SUBSTANCE.vary(&self.domain, self.soft, &Self::pose(), world, rng);
+    }
+
+    /// Height of its upper face where it lies undeformed, m.
+    pub fn top(&self) -> f64 {
+        let half = 0.5 * self.thickness;
+        tray::pad().max.z + half + half
     }
 
     /// The body in the world.
@@ -124,40 +142,80 @@ pub struct Substance {
     pub modulus: f64,
     /// Young's moduli that `domain` may have, Pa: from, to.
     pub moduli: [f64; 2],
+    /// Thickness where `domain` has none, m.
+    pub thickness: f64,
+    /// Thicknesses that `domain` may have, m: from, to.
+    pub thicknesses: [f64; 2],
 }
+
+/// Ultimate strains that `domain` may have: from, to.
+const STRENGTHS: [f64; 2] = [0.1, 1.0];
 
 impl Substance {
     /// The rows of `domain` that say what it is like.
-    pub fn rows(&self) -> [RowSpec; 2] {
-        let friction = Material::named(self.material).expect("it is in the table").friction;
-        options::tissue_rows(self.modulus, self.moduli, friction.profiled)
+    pub fn rows(&self) -> Vec<RowSpec> {
+        let material = Material::named(self.material).expect("it is in the table");
+        let row = options::tissue_row;
+        let friction = "Friction coefficient of profiled jaws on it";
+        let mut rows = vec![
+            row("modulus", "Young's modulus of what is soft, Pa", self.modulus, self.moduli),
+            row("friction", friction, material.friction.profiled, [0.1, 2.0]),
+            row("thickness", "Thickness of what is soft, m", self.thickness, self.thicknesses),
+        ];
+        if let Some(strain) = material.ultimate_strain {
+            rows.push(row("strength", "Ultimate strain of what is soft", strain, STRENGTHS));
+        }
+        rows
     }
 
-    /// The form that `carve` makes of it, as stiff as `domain` has it at most.
+    /// The form that `carve` makes of it, of its usual thickness and as stiff as `domain` has it at most.
     pub fn form(
         &self,
         domain: &Domain,
         carve: impl FnOnce(Material) -> Result<Form, MaterialError>,
     ) -> Result<Form, Rejection> {
         let stiffest = domain.modulus.greatest().unwrap_or(self.modulus);
+        let thinnest = domain.thickness.least().unwrap_or(self.thickness);
         let material = Material::named(self.material).map(|soft| soft.with_modulus(stiffest));
-        material.and_then(carve).map_err(|error| {
-            let field = "options.domain.modulus";
-            Rejection::new(Code::InvalidOption, field, stiffest.to_string(), error.to_string())
-        })
+        let form = material.and_then(carve);
+        form.and_then(|form| form.thickened(thinnest / self.thickness).and(Ok(form))).map_err(
+            |error| {
+                let field = "options.domain.modulus";
+                Rejection::new(Code::InvalidOption, field, stiffest.to_string(), error.to_string())
+            },
+        )
     }
 
-    /// Draws an episode's friction and modulus, where they vary, and lets a body of another modulus come to rest.
-    pub fn vary(&self, domain: &Domain, soft: SoftId, world: &mut World, rng: &mut Rng) {
-        let Domain { modulus, friction, .. } = domain;
+    /// Draws what an episode's body is like, where that varies, and lets one of another modulus or thickness come to rest
+    /// on what lies under `world_from_body`, where it lies when it is as thick as usual. Returns its thickness, m.
+    pub fn vary(
+        &self,
+        domain: &Domain,
+        soft: SoftId,
+        world_from_body: &Pose,
+        world: &mut World,
+        rng: &mut Rng,
+    ) -> f64 {
+        let Domain { modulus, friction, thickness, strength, .. } = domain;
         if let Some(profiled) = friction.draw_if_given(rng) {
             let smooth = world.soft(soft).lattice().form().material().friction.smooth;
             world.soft_mut(soft).set_friction(Friction { smooth, profiled });
         }
         if let (Some(drawn), Some(greatest)) = (modulus.draw_if_given(rng), modulus.greatest()) {
             world.soft_mut(soft).soften(drawn / greatest);
-            settle(world);
         }
+        let drawn = thickness.draw_if_given(rng);
+        if let Some(drawn) = drawn {
+            let raised = Pose::from(Vector3::z() * (0.5 * (drawn - self.thickness)));
+            let thickened =
+                world.soft_mut(soft).thicken(drawn / self.thickness, &(raised * world_from_body));
+            thickened.expect("the thinnest was possible");
+        }
+        if let Some(strain) = strength.draw_if_given(rng) {
+            world.soft_mut(soft).set_ultimate_strain(Some(strain));
+        }
+        settle(world);
+        drawn.unwrap_or(self.thickness)
     }
 }
 

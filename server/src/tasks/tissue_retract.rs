@@ -89,7 +89,10 @@
 //!   out of.
 //! - `squeeze`: force with which each finger squeezes, 0.5 to 4 N; 1 N. Source: clamps of 1 to 4 N in Guo 2021.
 //! - `arm = "si"`: the arm of the S and Si in place of the first generation's, see [`psm_scene`](super::psm_scene).
-//! - `domain`: `modulus` (3,000 to 8,000 Pa; Young's modulus), `friction` (coefficient of profiled jaws on the sheet),
+//! - `grasp = "approx"`: the skin between closed jaws, or up to `grasp_distance` (2 mm) from there, is attached to the wrist
+//!   without friction. It counts as held. Simulators that drag vertices along do so; real jaws do not.
+//! - `domain`: `modulus` (3,000 to 8,000 Pa; Young's modulus), `thickness` (6 to 10 mm, in m; 8 mm), `friction` (coefficient
+//!   of profiled jaws on the sheet), `strength` (ultimate strain, which `overstretched` and `crushed` in infos go by; 0.38),
 //!   and `observation_noise`, `joint_offset`, `latency` and the others that all PSM tasks have.
 //! - `setup`: `base` (x, y, z in m and turn in rad of the arm's base), `table_height` (m). The arm
 //!   must reach the whole workspace.

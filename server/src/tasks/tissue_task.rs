@@ -22,6 +22,7 @@ use super::options::{self, Domain, Preset};
 use super::pick;
 use super::psm_scene::{PaperAction, PsmArm, RATE, REACH, SQUEEZE, Station, Turn, WORKSPACE};
 use super::relative;
+use super::soft_grasp::SoftGrasp;
 use super::theatre;
 use super::tissue::{self, Sheet};
 use super::tray;
@@ -116,6 +117,7 @@ pub trait Purpose: Debug + Clone + Send + Sync + 'static {
 pub struct Handling<P> {
     arm: PsmArm,
     sheet: Sheet,
+    grasp_mode: SoftGrasp,
     purpose: P,
     /// The point, where it is taken, and where it is to be, m.
     point: MaterialPoint,
@@ -131,9 +133,12 @@ pub struct Handling<P> {
 const COMMON: usize = 5;
 
 /// What may be asked of a task with something soft, whose `domain` has these rows.
-pub fn options(rows: [RowSpec; 2]) -> Vec<OptionSpec> {
+pub fn options(rows: Vec<RowSpec>) -> Vec<OptionSpec> {
+    let [grasp, distance] = SoftGrasp::options();
     vec![
         options::reward(),
+        grasp,
+        distance,
         OptionSpec::choice(
             "instrument",
             "tissue_forceps: broad, profiled jaws; needle_driver: narrow, smooth ones.",
@@ -197,6 +202,7 @@ impl<P: Purpose> Registered for Handling<P> {
         let middle = sheet.upper_point(&world, [GRASP_X, 0.0]);
         let task = Self {
             arm,
+            grasp_mode: SoftGrasp::new(options, sheet.soft()),
             sheet,
             purpose: P::new(options)?,
             point: middle,
@@ -254,8 +260,9 @@ impl<P: Purpose> Task for Handling<P> {
         Ok(())
     }
 
-    fn command(&mut self, _: &mut World, action: Option<&[f32]>) {
+    fn command(&mut self, world: &mut World, action: Option<&[f32]>) {
         self.arm.command(action);
+        self.grasp_mode.command(&self.arm, world);
     }
 
     fn arms(&mut self) -> Arms<'_> {
@@ -264,7 +271,8 @@ impl<P: Purpose> Task for Handling<P> {
 
     fn after_step(&mut self, world: &mut World) {
         let soft = self.sheet.soft();
-        let is_held = self.arm.fingers_on(world, soft) == 2;
+        self.grasp_mode.after_step(&mut self.arm, world);
+        let is_held = self.grasp_mode.holds(&self.arm, world);
         self.held = if is_held { (self.held + 1).min(HOLD) } else { 0 };
         self.pull = self.pull.max(self.arm.pull_of(world, soft).norm().min(SHOWN));
         self.purpose.look(&self.sheet, world);
@@ -335,7 +343,7 @@ impl<P: Purpose> Handling<P> {
         }
         let mut taken = self.sheet.at(world, &self.grasp);
         // Jaws press it down before they are about it.
-        taken.z = taken.z.max(Sheet::pose().translation.z + tissue::HALF.z);
+        taken.z = taken.z.max(self.sheet.top());
         let mut wrist = taken + input.position_error + Vector3::z() * (TIP_OFFSET - DEPTH);
         let off = arm.aim.translation.vector - wrist;
         // Jaws that go down take the sheet along a little: they go straight on.
@@ -364,7 +372,7 @@ impl<P: Purpose> Handling<P> {
             return false;
         }
         match input.sees {
-            Sees::Truth => arm.arm().fingers_on(world, self.sheet.soft()) == 2,
+            Sees::Truth => self.grasp_mode.holds(arm.arm(), world),
             Sees::Measured => {
                 let tip = arm.wrist * Point3::new(0.0, 0.0, TIP_OFFSET);
                 let taken = self.sheet.at(world, &self.grasp) + input.position_error;

@@ -69,11 +69,11 @@ pub(crate) fn all() -> Vec<Episode> {
     all
 }
 
-/// Action modes, rewards, every row of `domain` at once, an arm elsewhere and every camera: what a task has whose steps take
+/// Action modes, rewards, both ways to grasp, every row of `domain` at once, an arm elsewhere and every camera: what a task has whose steps take
 /// a hundred times as long as others'.
 fn few(spec: &TaskSpec) -> Vec<Options> {
     let mut options = crossed(vec![Options::new()], spec, "action");
-    options.push(Options::new().with_text("reward", "dense"));
+    options.push(Options::new().with_text("reward", "dense").with_text("grasp", "approx"));
     let rows = |options: &Options| match options.0.get("domain") {
         Some(OptionValue::Table(rows)) => rows.len(),
         _ => 0,

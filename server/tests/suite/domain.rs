@@ -173,13 +173,30 @@ fn arm_error_shows(id: &str, row: &str, ends: [f64; 2]) -> bool {
     low != high
 }
 
+/// The rows that say what tissue is like.
+const TISSUE: [&str; 4] = ["friction", "modulus", "thickness", "strength"];
+
 /// A row of tissue shows once jaws have closed on it, and episodes begin at rest.
 fn check_tissue(id: &str, row: &str, ends: [f64; 2]) {
+    if row == "strength" {
+        return check_strength(id, ends);
+    }
     let [low, high] = ends.map(|number| shown(fixed(id, row, number), 18));
     assert!(low != high, "{id}, {row}: is not to be seen");
     let mut env = fixed(id, row, ends[0]);
     env.reset(Some(3));
     assert!(env.world().at_rest(), "{id}, {row}: the sheet is not at rest");
+}
+
+/// Weak tissue is crushed by jaws that strong tissue bears.
+fn check_strength(id: &str, ends: [f64; 2]) {
+    let [weak, strong] = ends.map(|number| {
+        let mut env = fixed(id, "strength", number);
+        env.reset(Some(3));
+        let steps = (0..18).map(|_| env.step(&Seen::of(&env).expert).unwrap().crushed);
+        steps.fold(0.0, f32::max)
+    });
+    assert!(weak > 0.0 && strong == 0.0, "{id}: {weak} {strong}");
 }
 
 #[test]
@@ -260,7 +277,7 @@ fn every_range_of_a_domain_does_what_it_says() {
                         "{what}: {flat} {deep}"
                     );
                 }
-                "friction" | "modulus" if is_slow(id) => check_tissue(id, &name, [min, max]),
+                row if is_slow(id) && TISSUE.contains(&row) => check_tissue(id, row, [min, max]),
                 "friction" => {
                     // It shows where something slips: what is heavy.
                     let heavy = |friction: f64| {

@@ -5,9 +5,10 @@ use std::sync::Arc;
 
 use nalgebra::{Matrix3, Point3, Vector3};
 
+use super::attachment::Attachments;
 use super::contact::Contacts;
 use super::lattice::{Form, Lattice};
-use super::material::{Friction, Material};
+use super::material::{Friction, Material, MaterialError};
 use super::proxy::{Motor, Proxy};
 use super::skin::{MaterialPoint, Skin};
 use crate::sim::frames::{Aabb, Pose};
@@ -38,6 +39,7 @@ pub struct SoftBody {
     friction: Friction,
     ultimate_strain: Option<f64>,
     contacts: Contacts,
+    attachments: Attachments,
     /// For how long it has hardly moved, s.
     still: f64,
     is_asleep: bool,
@@ -64,6 +66,7 @@ impl SoftBody {
             friction,
             ultimate_strain,
             contacts,
+            attachments: Attachments::default(),
             still: 0.0,
             is_asleep: false,
         }
@@ -88,6 +91,7 @@ impl SoftBody {
     pub fn place(&mut self, world_from_body: &Pose) {
         self.lattice.place(world_from_body);
         self.contacts.clear();
+        self.detach();
         self.wake();
     }
 
@@ -95,11 +99,43 @@ impl SoftBody {
     pub fn carry(&mut self, motion: &Pose) {
         self.lattice.carry(motion);
         self.contacts.clear();
+        self.detach();
+    }
+
+    /// Attaches the samples of the skin that `is_attached` chooses by their places (m) to a rigid body, by its key, in
+    /// place of what was attached.
+    pub(in crate::sim) fn attach(&mut self, body: u32, is_attached: impl Fn(&Point3<f64>) -> bool) {
+        let samples = self.skin.fine.places.iter().copied();
+        self.attachments = Attachments::new(
+            body,
+            samples.filter(|sample| is_attached(&self.lattice.point(sample))),
+        );
+        if self.is_attached() {
+            self.wake();
+        }
+    }
+
+    /// Whether anything of it is attached to a rigid body.
+    pub fn is_attached(&self) -> bool {
+        !self.attachments.are_none()
+    }
+
+    /// Lets go what is attached.
+    pub fn detach(&mut self) {
+        self.attachments = Attachments::default();
     }
 
     /// Sets its friction coefficients.
     pub fn set_friction(&mut self, friction: Friction) {
         self.friction = friction;
+    }
+
+    /// Makes it `thickness` times as thick along its z axis as its first form, and puts it somewhere, undeformed, at rest
+    /// and awake.
+    pub fn thicken(&mut self, thickness: f64, world_from_body: &Pose) -> Result<(), MaterialError> {
+        self.lattice.reform(Arc::new(self.lattice.form.thickened(thickness)?));
+        self.place(world_from_body);
+        Ok(())
     }
 
     /// Sets the greatest principal strain that it bears; none, where that is not known.
@@ -156,7 +192,7 @@ impl SoftBody {
     pub(in crate::sim) fn pass(&mut self, seconds: f64, proxies: &mut [Proxy], motors: &[Motor]) {
         proxies.iter_mut().for_each(Proxy::settle);
         let reach = (REACH + self.lattice.fastest() * seconds) as f32;
-        let Self { lattice, skin, friction, contacts, .. } = self;
+        let Self { lattice, skin, friction, contacts, attachments, .. } = self;
         contacts.begin(lattice, skin, friction, proxies, reach);
         lattice.begin();
         let mut left = seconds;
@@ -173,13 +209,17 @@ impl SoftBody {
             if contacts.are_possible() {
                 contacts.solve(lattice, proxies, dt);
             }
+            if !attachments.are_none() {
+                attachments.solve(lattice, proxies, dt);
+            }
             lattice.drift(dt);
             for proxy in &mut *proxies {
                 proxy.finish(dt);
             }
         }
         contacts.finish(proxies, seconds);
-        let may_sleep = !contacts.touches_moving && lattice.fastest() < STILL;
+        let may_sleep =
+            !contacts.touches_moving && attachments.are_none() && lattice.fastest() < STILL;
         self.still = if may_sleep { self.still + seconds } else { 0.0 };
         self.is_asleep = self.still > SLEEP_AFTER;
         if self.is_asleep {
@@ -250,7 +290,8 @@ impl NonRigid for SoftBody {
             self.wake();
         }
         let region = bounds.grown(REACH + self.lattice.fastest() * seconds);
-        let (mut proxies, motors) = world.proxies_in(&region, &self.lattice.origin);
+        let (mut proxies, motors) =
+            world.proxies_in(&region, &self.lattice.origin, self.attachments.body());
         self.pass(seconds, &mut proxies, &motors);
         world.absorb(&proxies, &self.lattice.origin, self.lattice.fastest());
     }
@@ -260,7 +301,7 @@ impl NonRigid for SoftBody {
         let numbers = x.iter().chain(v).flatten().chain(tangents).map(|number| number.to_bits());
         let still = self.still.to_bits();
         let sleep = [still as u32, (still >> 32) as u32, u32::from(self.is_asleep)];
-        Box::new(numbers.chain(self.contacts.bits()).chain(sleep))
+        Box::new(numbers.chain(self.contacts.bits()).chain(self.attachments.bits()).chain(sleep))
     }
 
     fn is_finite(&self) -> bool {
@@ -288,7 +329,10 @@ impl NonRigid for SoftBody {
     }
 
     fn memory_bytes(&self) -> u64 {
-        size_of::<Self>() as u64 + self.lattice.memory_bytes() + self.contacts.memory_bytes()
+        size_of::<Self>() as u64
+            + self.lattice.memory_bytes()
+            + self.contacts.memory_bytes()
+            + self.attachments.memory_bytes()
     }
 
     fn boxed_clone(&self) -> Box<dyn NonRigid> {

@@ -24,6 +24,10 @@
 //! f = −h²/4 · P σ − Σ k_m (q_m / 8) σ_m
 //! ```
 //!
+//! Elements may be t times as thick along z at rest. Then the column of z in F is divided by t, and forces are those of t
+//! times the volume: along x and y their area is t h²/4. What resists bending follows from strains as above, and
+//! is k t, or k/t for what moves along z.
+//!
 //! An element that is deformed may be stiffer than at rest. With P = μ F + q C, ∂²Ψ/∂F² has the terms λ' C ⊗ C and
 //! 2 μ k (F − C) ⊗ (F − C), and others no greater than μ + |q| |F|. At rest the first has the size 3 λ'. So the sum of
 //! all, over 3 λ', is a bound of the tangent stiffness relative to that at rest. In what follows it is the *tangent* of an
@@ -74,7 +78,8 @@ fn add_forces_in_lanes<L: Lanes>(
             let (strain, tangent) = Strain::new(&constants, mu, lambda, &modes);
             most = most.max(tangent);
             for axis in 0..3 {
-                scatter(&mut forces[axis], rows, &strain.force_modes(axis, &modes[axis]));
+                let modes = strain.force_modes(constants.thinness, axis, &modes[axis]);
+                scatter(&mut forces[axis], rows, &modes);
             }
             element += LANES;
         }
@@ -91,6 +96,10 @@ struct Constants {
     /// (μ + |q| |F|) / λ' at rest.
     curved_at_rest: f32,
     gradient: f32,
+    /// The same along z.
+    gradient_z: f32,
+    /// 1/t, and its square.
+    thinness: [f32; 2],
     area: f32,
     bending: f32,
     twisting: f32,
@@ -103,12 +112,15 @@ impl Constants {
         let stiffening = form.material.stiffening as f32;
         // μ / (λ + μ) = 1 − 2ν
         let ratio = 1.0 - 2.0 * nu;
+        let thinness = 1.0 / form.thickness as f32;
         Self {
             stiffness,
             stiffening,
             stiffening_tangent: 2.0 * stiffening * ratio,
             curved_at_rest: ratio * (1.0 + f32::sqrt(3.0)),
             gradient: 1.0 / (4.0 * h),
+            gradient_z: 1.0 / (4.0 * h) * thinness,
+            thinness: [thinness, thinness * thinness],
             area: -h * h / 4.0,
             // E = 2 μ (1 + ν); modes are 8 times their amplitude.
             bending: -2.0 * (1.0 + nu) * h / 48.0,
@@ -167,7 +179,7 @@ impl<L: Lanes> Strain<L> {
     #[inline(always)]
     fn new(constants: &Constants, mu: L, lambda: L, modes: &[Modes<L>; 3]) -> (Self, L) {
         let (mu, lambda) = (mu.times(constants.stiffness), lambda.times(constants.stiffness));
-        let scale = constants.gradient;
+        let scale = [constants.gradient, constants.gradient_z];
         let (a, b, c) = (row(&modes[0], scale), row(&modes[1], scale), row(&modes[2], scale));
         let (p, q, r) = (cross(b, c), cross(c, a), cross(a, b));
         let det = dot(a, p);
@@ -191,24 +203,34 @@ impl<L: Lanes> Strain<L> {
 
     /// The coefficients of the forces' modes of a component.
     #[inline(always)]
-    fn force_modes(&self, component: usize, modes: &Modes<L>) -> Modes<L> {
+    fn force_modes(
+        &self,
+        [thinness, its_square]: [f32; 2],
+        component: usize,
+        modes: &Modes<L>,
+    ) -> Modes<L> {
         let (f, c) = (self.gradient[component], self.cofactors[component]);
+        let (bending, twisting) = if component == 2 {
+            (self.bending.times(its_square), self.twisting.times(its_square))
+        } else {
+            (self.bending, self.twisting)
+        };
         [
             self.shear * f[0] + self.pressure * c[0],
             self.shear * f[1] + self.pressure * c[1],
-            self.shear * f[2] + self.pressure * c[2],
-            self.bending * modes[3],
-            self.bending * modes[4],
-            self.bending * modes[5],
-            self.twisting * modes[6],
+            (self.shear * f[2] + self.pressure * c[2]).times(thinness),
+            bending * modes[3],
+            bending * modes[4],
+            bending * modes[5],
+            twisting * modes[6],
         ]
     }
 }
 
 /// A row of the deformation gradient.
 #[inline(always)]
-fn row<L: Lanes>(modes: &Modes<L>, scale: f32) -> [L; 3] {
-    [modes[0].times(scale), modes[1].times(scale), modes[2].times(scale)]
+fn row<L: Lanes>(modes: &Modes<L>, [scale, scale_z]: [f32; 2]) -> [L; 3] {
+    [modes[0].times(scale), modes[1].times(scale), modes[2].times(scale_z)]
 }
 
 #[inline(always)]

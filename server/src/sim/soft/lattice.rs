@@ -113,6 +113,8 @@ pub struct Form {
     /// 1/mass of each node, 1/kg; 0 where it is held, or where there is nothing.
     pub(super) inverse_mass: Vec<f32>,
     pub(super) has_held_nodes: bool,
+    /// How many times as thick elements are at rest along z as along x and y.
+    pub(super) thickness: f64,
 }
 
 impl Form {
@@ -145,8 +147,34 @@ impl Form {
         let inverse = |mass: &f64| if *mass > 0.0 { (1.0 / mass) as f32 } else { 0.0 };
         let inverse_mass = mass.iter().map(inverse).collect();
         let mass = mass.into_iter().map(|mass| mass as f32).collect();
-        let has_held_nodes = false;
-        Ok(Self { grid, material, substeps, mu, lambda, mass, inverse_mass, has_held_nodes })
+        Ok(Self {
+            grid,
+            material,
+            substeps,
+            mu,
+            lambda,
+            mass,
+            inverse_mass,
+            has_held_nodes: false,
+            thickness: 1.0,
+        })
+    }
+
+    /// The same body, `thickness` times as thick at rest along its z axis.
+    pub fn thickened(&self, thickness: f64) -> Result<Self, MaterialError> {
+        let substeps = self.material.substeps(self.grid.spacing * thickness.min(1.0))?;
+        let factor = (thickness / self.thickness) as f32;
+        let scaled = |numbers: &[f32], by: f32| numbers.iter().map(|number| number * by).collect();
+        Ok(Self {
+            substeps,
+            // Forces are those of an element's volume.
+            mu: scaled(&self.mu, factor),
+            lambda: scaled(&self.lambda, factor),
+            mass: scaled(&self.mass, factor),
+            inverse_mass: scaled(&self.inverse_mass, 1.0 / factor),
+            thickness,
+            ..self.clone()
+        })
     }
 
     /// A box that is filled.
@@ -237,7 +265,9 @@ impl Lattice {
         self.origin = world_from_body.translation.vector;
         self.tangents = [0.0; 2];
         for (node, place) in grid.node_places().enumerate() {
-            let at = world_from_body.rotation * grid.node(place);
+            let mut at = grid.node(place);
+            at.z *= self.form.thickness;
+            let at = world_from_body.rotation * at;
             for axis in 0..3 {
                 self.x[axis][node] = at[axis] as f32;
                 self.v[axis][node] = 0.0;
@@ -265,6 +295,11 @@ impl Lattice {
     pub fn soften(&mut self, stiffness: f64) {
         assert!(stiffness > 0.0 && stiffness <= 1.0, "{stiffness}");
         self.stiffness = stiffness as f32;
+    }
+
+    /// Makes it of another form on the same grid; it is to be placed.
+    pub(super) fn reform(&mut self, form: Arc<Form>) {
+        self.form = form;
     }
 
     /// What does not change of it.
@@ -385,7 +420,9 @@ impl Lattice {
     pub fn deformation_gradient(&self, element: usize) -> nalgebra::Matrix3<f64> {
         let offsets = self.form.grid.corner_offsets();
         let scale = 1.0 / (4.0 * self.form.grid.spacing);
+        let scales = [scale, scale, scale / self.form.thickness];
         nalgebra::Matrix3::from_fn(|component, axis| {
+            let scale = scales[axis];
             let corners = offsets.iter().enumerate();
             let signed = corners.map(|(corner, offset)| {
                 let sign = if corner >> axis & 1 == 1 { scale } else { -scale };

@@ -12,6 +12,7 @@
 //! | [`proxy`], [`shape`] | rigid bodies in the substeps of soft ones |
 //! | [`candidates`] | samples that may touch rigid bodies in a step |
 //! | [`contact`] | contacts with them: Coulomb friction, impulses both ways |
+//! | [`attachment`] | samples that are held to a rigid body without friction, for comparison |
 //! | [`body`] | a soft body in the world: what it has of all these, and sleep |
 //!
 //! A time step is v += Δt (f/m + g), then contacts change v, then x += Δt v. Tissue is so soft (2 to 30 kPa) that
@@ -21,6 +22,7 @@
 //! Numbers are f32. The order of all sums is fixed and no multiplication is fused with an addition, so the bits
 //! are the same on every processor.
 
+mod attachment;
 mod body;
 mod candidates;
 mod carve;

@@ -88,6 +88,9 @@ pub(in crate::sim) struct Load {
     pub pressing: f64,
     /// Where they act: sum of places weighted by them, N·s·m.
     pub moment: Vector3<f64>,
+    /// Samples that are attached to it, and the sum of their places, m.
+    pub attachments: u32,
+    pub attached: Vector3<f64>,
     /// Mean pressure over the skin that pressed, Pa; on what does not move it is 0.
     pub pressure: f64,
 }

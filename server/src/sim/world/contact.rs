@@ -98,6 +98,11 @@ impl World {
         rigid.chain(self.soft_touches_of(body).map(|touch| touch.pressure)).sum()
     }
 
+    /// Whether a soft body pressed on a body in the last substep.
+    pub fn touches_soft(&self, body: BodyId) -> bool {
+        self.soft_touches_of(body).any(|touch| touch.pressure > 0.0)
+    }
+
     fn soft_touches_of(&self, body: BodyId) -> impl Iterator<Item = &SoftTouch> {
         self.soft_touches.iter().filter(move |touch| touch.body == body.0)
     }

@@ -104,6 +104,17 @@ impl World {
         touches.map(|touch| touch.mean_pressure).fold(0.0, f64::max)
     }
 
+    /// Attaches those samples of a soft body's skin to a rigid one that `is_attached` chooses by their places, m.
+    pub fn attach_skin(
+        &mut self,
+        soft: SoftId,
+        body: BodyId,
+        is_attached: impl Fn(&Point3<f64>) -> bool,
+    ) {
+        let key = body.0.into_raw_parts().0;
+        self.soft_mut(soft).attach(key, is_attached);
+    }
+
     /// The force of a soft body on a rigid one in the last substep, N, friction included.
     pub fn soft_force(&self, soft: SoftId, body: BodyId) -> Vector3<f64> {
         self.touches_between(soft, body).map(|touch| touch.force).sum()
@@ -121,7 +132,7 @@ impl World {
     /// How deep a soft body is in rigid ones, m.
     pub fn soft_overlap(&self, id: SoftId) -> f64 {
         let soft = self.soft(id);
-        let (proxies, _) = self.proxies_in(&soft.bounds(), &soft.origin());
+        let (proxies, _) = self.proxies_in(&soft.bounds(), &soft.origin(), None);
         soft.deepest_overlap(proxies)
     }
 
@@ -169,17 +180,19 @@ impl World {
         })
     }
 
-    /// The rigid bodies that may be in `region` in the substep to come, in the order of their keys, and what turns
-    /// fingers among them.
+    /// The rigid bodies that may be in `region` in the substep to come and the one with the key `attached`, in the order of
+    /// their keys, and what turns fingers among them.
     pub(in crate::sim) fn proxies_in(
         &self,
         region: &Aabb,
         origin: &Vector3<f64>,
+        attached: Option<u32>,
     ) -> (Vec<Proxy>, Vec<Motor>) {
         let near = |body: &RigidBody, next: &Pose| self.swept(body, next).meets(region);
         let mut handles = vec![];
         for (handle, body) in self.bodies.iter().filter(|(_, body)| body.is_enabled()) {
-            if near(body, &frames::from_engine(&self.next_pose(handle, body))) {
+            let is_attached = attached == Some(handle.into_raw_parts().0);
+            if is_attached || near(body, &frames::from_engine(&self.next_pose(handle, body))) {
                 handles.push(handle);
             }
         }
@@ -223,13 +236,19 @@ impl World {
     ) {
         for proxy in proxies {
             let (handle, load) = (proxy.handle, proxy.load);
-            if load.pressing > 0.0 {
+            if load.pressing > 0.0 || load.attachments > 0 {
+                // Where forces are not only those of contacts, in the middle of the attachments.
+                let middle = if load.attachments > 0 {
+                    load.attached / f64::from(load.attachments)
+                } else {
+                    load.moment / load.pressing
+                };
                 self.soft_touches.push(SoftTouch {
                     body: handle,
                     by: self.advancing,
                     force: load.impulse * SUBSTEPS_PER_SECOND,
                     pressure: load.pressing * SUBSTEPS_PER_SECOND,
-                    point: Point3::from(origin + load.moment / load.pressing),
+                    point: Point3::from(origin + middle),
                     mean_pressure: load.pressure,
                 });
             }

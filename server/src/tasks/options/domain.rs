@@ -55,13 +55,9 @@ pub fn friction_row() -> RowSpec {
     range_row("friction", "Friction coefficient of the jaws; 1 where none is given.", 0.1, 2.0)
 }
 
-/// The rows of `domain` of tasks with something soft, with Young's modulus (Pa) and friction where none are given, and the
-/// moduli that it may have.
-pub fn tissue_rows(modulus: f64, [min, max]: [f64; 2], friction: f64) -> [RowSpec; 2] {
-    let modulus = format!("Young's modulus of what is soft, Pa; {modulus} where none is given.");
-    let friction =
-        format!("Friction coefficient of profiled jaws on it; {friction} where none is given.");
-    [range_row("modulus", &modulus, min, max), range_row("friction", &friction, 0.1, 2.0)]
+/// A row of `domain` of tasks with something soft: what it says, the number where none is given, and the range.
+pub fn tissue_row(name: &str, what: &str, nominal: f64, [min, max]: [f64; 2]) -> RowSpec {
+    range_row(name, &format!("{what}; {nominal} where none is given."), min, max)
 }
 
 /// The rows `mass` and `size` of `domain`; `size`: the smallest and the largest.
@@ -155,6 +151,11 @@ impl Range {
         *self != Self::default()
     }
 
+    /// Its smallest number; none where the range was not given.
+    pub fn least(&self) -> Option<f64> {
+        self.is_given().then_some(self.low)
+    }
+
     /// Its largest number; none where the range was not given.
     pub fn greatest(&self) -> Option<f64> {
         self.is_given().then_some(self.high)
@@ -193,6 +194,10 @@ pub struct Domain {
     pub pad_depth: Range,
     /// Young's modulus of tissue, Pa.
     pub modulus: Range,
+    /// Thickness of tissue, m.
+    pub thickness: Range,
+    /// Ultimate strain of tissue.
+    pub strength: Range,
     /// Error of the camera's place along each of its axes, m.
     pub camera_pose_position: Range,
     /// Error of the camera's direction about each of its axes, rad.
@@ -227,6 +232,8 @@ impl Domain {
             pad_stiffness: range("pad_stiffness")?,
             pad_depth,
             modulus: range("modulus")?,
+            thickness: range("thickness")?,
+            strength: range("strength")?,
             camera_pose_position: range("camera_pose_position")?,
             camera_pose_angle: range("camera_pose_angle")?,
             joint_offset: range("joint_offset")?,

@@ -19,7 +19,7 @@ mod domain;
 pub use arm_errors::{ArmErrors, DVRK, ecm_rows, psm_rows};
 pub use domain::{
     Domain, MOST_JOINT_OFFSET, MOST_PAD_DEPTH, Range, Variation, camera_rows, domain, domain_with,
-    friction_row, object_rows, pad_rows, tissue_rows,
+    friction_row, object_rows, pad_rows, tissue_row,
 };
 
 /// Unit of positions under `preset = "surrol"`, which multiplies metres by 5.

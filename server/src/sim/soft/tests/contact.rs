@@ -224,6 +224,30 @@ fn jaws_full_of_tissue_press_with_their_squeeze() {
 }
 
 #[test]
+fn attachments_hold_without_friction_with_the_weight_of_what_hangs_and_copies_go_on_alike() {
+    let (mut world, id, mut jaws) = gripped(true, 0.5, 0.0);
+    jaws.attach_skin(&mut world, id, 1e-3);
+    assert!(world.soft(id).is_attached());
+    // Friction would not hold it; it is pulled up by the lower edge that is held, and let go of.
+    let lifted = |z: f64| down([0.0, 0.0, z - 6e-3], JAW_CLOSED);
+    let (mut copy, mut its_jaws) = (world.clone(), jaws.clone());
+    carry_out([&mut jaws], &mut world, [lifted(4e-3)], 48);
+    carry_out([&mut its_jaws], &mut copy, [lifted(4e-3)], 48);
+    assert!(world.bits().eq(copy.bits()));
+    carry_out([&mut jaws], &mut world, [lifted(4e-3)], 240);
+    let pull = -jaws.force_of(&world, id).z;
+    // 4 mm of the 14 mm between the jaws and the lower edge: about E A ε = 20 kPa · 80 mm² · 0.29.
+    assert!((0.2..1.5).contains(&pull), "{pull} N");
+    // What the sheet does to the jaws and the jaws to the sheet is the same: it is at rest but for its weight.
+    let body = world.soft(id);
+    let before = body.lattice().momentum()[0];
+    assert!(body.lattice().fastest() < 0.02, "{}", body.lattice().fastest());
+    world.soft_mut(id).detach();
+    carry_out([&mut jaws], &mut world, [lifted(4e-3)], 24);
+    assert!(world.soft(id).lattice().momentum()[0].z < before.z - 1e-6, "it falls");
+}
+
+#[test]
 fn jaws_on_two_bodies_press_with_their_squeeze_on_both_together() {
     let squeeze = 0.5;
     let (mut world, ids, mut jaws) =

@@ -81,19 +81,21 @@ fn a_bar_swings_along_itself_at_the_speed_of_sound_over_four_lengths() {
 }
 
 /// How much further than in Timoshenko's theory the tip of a beam of square section sinks, as a part.
-fn cantilever(layers: usize, nu: f64) -> f64 {
+fn cantilever(layers: usize, nu: f64, thickness: f64) -> f64 {
     let (modulus, density, length, edge) = (5e3, 1000.0, 0.06, 0.012);
     let h = edge / layers as f64;
     let cells = [(length / h).round() as usize, layers, layers];
-    let mut form = Form::slab(cells, h, material(modulus, nu, density)).unwrap();
+    let form = Form::slab(cells, h, material(modulus, nu, density)).unwrap();
+    let mut form = form.thickened(thickness).unwrap();
     form.has_held_nodes = true; // by what is done below
     let grid = form.grid;
     let mut beam = Lattice::new(Arc::new(form), &Pose::identity());
     // δ = ρ g A l⁴ / (8 E I) + ρ g A l² / (2 κ G A), small against l.
-    let inertia = edge.powi(4) / 12.0;
+    let area = edge * edge * thickness;
+    let inertia = edge.powi(4) * thickness.powi(3) / 12.0;
     let shear = modulus / (2.0 * (1.0 + nu));
     let kappa = 10.0 * (1.0 + nu) / (12.0 + 11.0 * nu);
-    let per_gravity = density * edge * edge * length.powi(4) / (8.0 * modulus * inertia)
+    let per_gravity = density * area * length.powi(4) / (8.0 * modulus * inertia)
         + density * length * length / (2.0 * kappa * shear);
     let expected = 0.02 * length;
     let section = |i: usize| {
@@ -119,10 +121,19 @@ fn cantilever(layers: usize, nu: f64) -> f64 {
 #[test]
 fn a_cantilever_sinks_as_timoshenkos_however_many_layers_it_has() {
     for nu in [0.45, 0.3, 0.0] {
-        let errors = [1, 2, 3, 4].map(|layers| cantilever(layers, nu));
+        let errors = [1, 2, 3, 4].map(|layers| cantilever(layers, nu, 1.0));
         println!("cantilever, ν {nu}: {:.1?} %", errors.map(|error| 100.0 * error));
         assert!(errors.iter().all(|error| error.abs() < 0.05), "ν {nu}: {errors:?}");
         assert!(errors[3].abs() <= errors[1].abs(), "ν {nu}: {errors:?}");
+    }
+}
+
+#[test]
+fn a_cantilever_of_flat_or_upright_elements_sinks_as_timoshenkos() {
+    for thickness in [0.7, 1.25] {
+        let error = cantilever(2, 0.3, thickness);
+        println!("cantilever, {thickness} times as thick: {:.1} %", 100.0 * error);
+        assert!(error.abs() < 0.05, "{thickness}: {error}");
     }
 }
 
