@@ -3,7 +3,6 @@
 use std::collections::BTreeMap;
 
 use rayon::prelude::*;
-use trocar_proto::snapshot::Recipe;
 use trocar_proto::spec::{Allowed, Element, OptionValue};
 use trocar_proto::{Code, Options, TaskSpec};
 use trocar_server::Registry;
@@ -15,6 +14,8 @@ use trocar_server::tasks::builtin;
 mod domain;
 pub(crate) use domain::is_arm_error;
 mod heads;
+mod setups;
+mod snapshots;
 
 /// What an environment shows after a reset or step.
 #[derive(Debug, Clone)]
@@ -388,125 +389,6 @@ fn numbers_outside_the_range_act_as_the_nearest_inside() {
 }
 
 #[test]
-fn a_snapshot_goes_on_bit_by_bit_like_the_original_as_clone_and_as_bytes() {
-    let mut variants = variants();
-    variants.extend(tasks().map(domain::everything));
-    let prepared = |id: &&str| {
-        Registry::builtin().make(id, &Options::new().with_text("start", "lift")).is_ok()
-    };
-    variants.extend(Registry::builtin().ids().filter(prepared).map(|id| {
-        let (id, options) = domain::everything(id);
-        (id, options.with_text("start", "lift"))
-    }));
-    for variant in variants {
-        let fresh = make(&variant);
-        let seeds = if is_slow(&variant.0) { 1..2 } else { 0..3 };
-        for seed in if soak() { 0..40 } else { seeds } {
-            let mut env = fresh.clone();
-            env.reset(Some(seed));
-            let mut actions = Actions::new(seed);
-            if seed % 2 == 1 {
-                env.reset(None);
-            }
-            // From the first state to the last, at random.
-            for _ in 0..actions.0.index(env.spec().max_steps as usize + 1) {
-                env.step(&towards_the_goal(&mut actions, &env)).unwrap();
-                begin_anew_where_it_ended(&mut env);
-            }
-            let bytes = env.export().unwrap();
-            let mut copies = vec![env.clone(), fresh.import(&bytes).unwrap()];
-            assert_eq!(copies[1].export().unwrap(), bytes);
-            // Every second time into the next episode.
-            for _ in 0..25 {
-                assert_eq!(Seen::of(&env).bits(), Seen::of(&copies[0]).bits(), "{variant:?}");
-                assert_eq!(Seen::of(&env).bits(), Seen::of(&copies[1]).bits(), "{variant:?}");
-                if env.needs_reset() {
-                    env.reset(None);
-                    for copy in &mut copies {
-                        copy.reset(None);
-                    }
-                    continue;
-                }
-                let action = towards_the_goal(&mut actions, &env);
-                let step = env.step(&action).unwrap();
-                for copy in &mut copies {
-                    assert_eq!(copy.step(&action).unwrap(), step);
-                }
-            }
-        }
-    }
-}
-
-#[test]
-fn a_held_object_is_held_in_its_snapshots() {
-    // The expert's last state: with the object in the jaws, where there is one.
-    let registry = Registry::builtin();
-    let plain = tasks().map(|id| (id.to_string(), Options::new()));
-    let ends = registry.ids().filter(|id| !is_slow(id)).map(domain::ends_of_objects);
-    for variant in plain.chain(ends) {
-        let fresh = make(&variant);
-        let mut env = fresh.clone();
-        env.reset(Some(3));
-        while env.steps() + 8 < env.spec().max_steps {
-            env.step(&Seen::of(&env).expert).unwrap();
-        }
-        let mut copies = vec![env.clone(), fresh.import(&env.export().unwrap()).unwrap()];
-        while !env.needs_reset() {
-            let action = Seen::of(&env).expert;
-            let step = env.step(&action).unwrap();
-            for copy in &mut copies {
-                assert_eq!(copy.step(&action).unwrap(), step);
-                assert_eq!(Seen::of(copy).bits(), Seen::of(&env).bits(), "{variant:?}");
-            }
-        }
-    }
-}
-
-/// Something that is done to a recipe.
-type Change = fn(&mut Recipe);
-
-#[test]
-fn bytes_that_are_not_of_this_task_and_these_options_are_refused_by_name() {
-    let registry = Registry::builtin();
-    let options = Options::new().with_text("action", "joint");
-    for id in registry.ids() {
-        let mut env = registry.make(id, &Options::new()).unwrap();
-        assert_eq!(env.export().unwrap_err().code, Code::ResetNeeded);
-        env.reset(Some(1));
-        env.step(&vec![0.5; env.spec().action_dim()]).unwrap();
-        let bytes = env.export().unwrap();
-        let refuse = |env: &Env, bytes: &[u8]| env.import(bytes).err().unwrap();
-        let refusal = refuse(&registry.make(id, &options).unwrap(), &bytes);
-        assert_eq!(refusal.code, Code::InvalidSnapshot);
-        assert_eq!(refusal.field, "snapshot.options.action", "{refusal}");
-        for other in registry.ids().filter(|other| *other != id) {
-            let refusal = refuse(&registry.make(other, &Options::new()).unwrap(), &bytes);
-            assert_eq!(refusal.field, "snapshot.task", "{refusal}");
-            assert!(refusal.to_string().contains(id) && refusal.to_string().contains(other));
-        }
-        let mut recipe = Recipe::from_bytes(&bytes).unwrap();
-        recipe.fingerprint ^= 1;
-        assert_eq!(refuse(&env, &recipe.to_bytes().unwrap()).field, "snapshot.fingerprint");
-        let good = Recipe::from_bytes(&bytes).unwrap();
-        // One number more is one step more where an action is one number.
-        let whole = env.spec().action_dim() == 1;
-        let one_more = if whole { "snapshot.fingerprint" } else { "snapshot.actions" };
-        let changes: [(&str, Change); 4] = [
-            ("snapshot.version", |recipe| recipe.version.push('0')),
-            (one_more, |recipe| recipe.actions.push(0.0)),
-            ("snapshot.actions", |recipe| recipe.actions[0] = f32::NAN),
-            ("snapshot.actions", |recipe| recipe.actions = vec![0.0; 12_000]),
-        ];
-        for (field, change) in changes {
-            let mut recipe = good.clone();
-            change(&mut recipe);
-            let refusal = refuse(&env, &recipe.to_bytes().unwrap());
-            assert_eq!((refusal.code, refusal.field.as_str()), (Code::InvalidSnapshot, field));
-        }
-    }
-}
-
-#[test]
 fn environments_side_by_side_are_as_if_each_were_alone() {
     for id in tasks() {
         let first = Registry::builtin().make(id, &Options::new()).unwrap();
@@ -570,88 +452,6 @@ fn nothing_explodes_under_adversarial_actions() {
             }
         }
     });
-}
-
-#[test]
-fn a_moved_arm_shows_and_does_the_same() {
-    let setups: [(&str, &[Row]); 8] = [
-        ("NeedleReach-v0", &[("table_height", &[0.67])]),
-        ("NeedleReach-v0", &[("base", &[0.06, 0.25, 0.845, -1.9]), ("table_height", &[0.672])]),
-        ("NeedlePick-v0", &[("table_height", &[0.67])]),
-        ("GauzeRetrieve-v0", &[("table_height", &[0.67])]),
-        ("PegTransfer-v0", &[("table_height", &[0.67])]),
-        ("BiPegTransfer-v0", &[("base_2", &[0.06, -0.235, 0.85, -1.25])]),
-        ("NeedleRegrasp-v0", &[("base", &[0.055, 0.235, 0.85, -1.9]), ("table_height", &[0.673])]),
-        ("EcmReach-v0", &[("base", &[-0.04, 0.01, 1.01, 0.5])]),
-    ];
-    let models = ["classic", "si"];
-    for ((id, rows), model) in setups.into_iter().flat_map(|setup| models.map(|it| (setup, it))) {
-        let nominal = Options::new().with_text("arm", model);
-        let moved = nominal.clone().with("setup", table(rows));
-        let [mut moved, mut nominal] =
-            [moved, nominal].map(|options| Registry::builtin().make(id, &options).unwrap());
-        // A block that is pressed onto the board moves the arm, and a needle between two pairs of jaws moves both,
-        // by up to 2.5 mm. Rounding moves block and needle.
-        let tolerance = match id {
-            "PegTransfer-v0" | "BiPegTransfer-v0" => 1e-3,
-            "NeedleRegrasp-v0" => 3e-3,
-            _ => 1e-5,
-        };
-        for seed in 0..20 {
-            moved.reset(Some(seed));
-            nominal.reset(Some(seed));
-            for _ in 0..50 {
-                let (there, here) = (Seen::of(&moved), Seen::of(&nominal));
-                for (a, b) in there.observation[..3].iter().zip(&here.observation[..3]) {
-                    assert!((a - b).abs() < tolerance, "{id} {model}: {there:?} for {here:?}");
-                }
-                moved.step(&here.expert).unwrap();
-                nominal.step(&here.expert).unwrap();
-            }
-            let seen = Seen::of(&moved);
-            assert!(moved.spec().is_success(&seen.achieved, &seen.desired));
-        }
-    }
-}
-
-#[test]
-fn a_moved_endoscope_still_levels_and_centres() {
-    let base = table(&[("base", &[-0.03, 0.02, 1.02, 0.55])]);
-    let options = Options::new().with("setup", base);
-    for (id, model) in [
-        ("MisOrient-v0", "classic"),
-        ("MisOrient-v0", "si"),
-        ("StaticTrack-v0", "classic"),
-        ("StaticTrack-v0", "si"),
-    ] {
-        let options = options.clone().with_text("arm", model);
-        let mut env = Registry::builtin().make(id, &options).unwrap();
-        for seed in 0..20 {
-            env.reset(Some(seed));
-            let mut step = env.step(&Seen::of(&env).expert).unwrap();
-            while !env.needs_reset() {
-                step = env.step(&Seen::of(&env).expert).unwrap();
-            }
-            assert!(step.is_success, "{id} {model}: {seed}");
-        }
-    }
-}
-
-#[test]
-fn the_si_works_from_where_the_classic_does_not_reach() {
-    let high = table(&[("base", &[0.05, 0.24, 0.90, -1.92])]);
-    let options = Options::new().with("setup", high);
-    let classic = Registry::builtin().make("NeedlePick-v0", &options);
-    assert_eq!(classic.err().unwrap().field, "options.setup");
-    let mut env = make(&("NeedlePick-v0".into(), options.with_text("arm", "si")));
-    for seed in 0..10 {
-        env.reset(Some(seed));
-        let mut step = env.step(&Seen::of(&env).expert).unwrap();
-        while !env.needs_reset() {
-            step = env.step(&Seen::of(&env).expert).unwrap();
-        }
-        assert!(step.is_success, "{seed}");
-    }
 }
 
 #[test]
