@@ -319,6 +319,25 @@ def play(address: str) -> None:
         assert browser.errors == []
 
 
+def test_what_is_soft_bends() -> None:
+    """A blue disk under a sheet is hidden at first, and is seen once the sheet is lifted."""
+    blue = (
+        "(() => { const { data } = document.querySelector('#endoscope canvas').getContext('2d')"
+        ".getImageData(0, 0, 192, 192); let count = 0;"
+        " for (let at = 0; at < data.length; at += 4)"
+        " count += data[at] < 60 && data[at + 2] > 150;"
+        " return count; })()"
+    )
+    with replayed("TissueRetract-v0") as address, Chromium() as browser:
+        browser.open(address)
+        browser.wait_for("document.querySelector('#slider')?.max === '60'")
+        browser.run(f"{SLIDE}(30)")
+        browser.wait_for(f"{blue} > 15")
+        browser.run(f"{SLIDE}(0)")
+        browser.wait_for(f"{blue} === 0")
+        assert browser.errors == []
+
+
 def test_it_works_in_narrow_windows() -> None:
     """Nothing sticks out of the window of a telephone."""
     with Server(PICK) as server, Chromium() as browser:
