@@ -224,6 +224,18 @@ def test_an_episode_is_as_that_of_the_live_environment(server: str, pick: Task) 
     assert np.abs(last - seen["observation"]).max() < 1e-6
 
 
+def test_increments_of_an_arm_that_lags_add_up(server: str) -> None:
+    """An arm that is late is on its way, and is not taken for one that is held up."""
+    joints = ["yaw", "pitch", "insertion", "roll", "wrist_pitch", "wrist_yaw"]
+    domain = {f"lag_{joint}": [0.05, 0.05] for joint in joints}
+    task = Task.open("NeedlePick-v0", server=server, domain=domain)
+    made = live(task, server=server)
+    run(task, made, lambda _: [1.0, 0.0, 0.0, 0.0, -1.0], max_steps=6)
+    sent = made.frames["PSM1"] @ Pose.of_frame(made.arms["PSM1"].setpoint_cp()[0])
+    made.close()
+    assert abs(sent.position[0] - task.starts["PSM1"].position[0] - 0.06) < 1e-3
+
+
 @pytest.mark.parametrize("is_dry", [False, True])
 def test_the_file_of_an_episode_has_it_all(
     pick: Task, robot: LiveRobot, tmp_path: Path, is_dry: bool

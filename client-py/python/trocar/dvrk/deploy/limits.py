@@ -29,8 +29,8 @@ class Limits:
             ``None``: as the action asks.
         turn: Farthest that a wrist, or a joint of the ECM, is turned in a step, rad; ``None``: as
             the action asks.
-        held_up: How far from its set-point an arm counts as held up, m: increments then count from
-            where it is measured to be.
+        held_up: How far from its set-point an arm counts as held up, m, unless it would be there
+            within a step at its speed: increments then count from where it is measured to be.
         box: Where wrists may be sent, in the scene, m: x, y, z of the lower corner, then of the
             upper one; ``None``: the task's.
     """

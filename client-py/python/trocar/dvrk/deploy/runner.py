@@ -89,6 +89,8 @@ class Runner:
         self._max_steps = max_steps or task.spec.max_steps
         self._set_points = max(1, round(task.spec.seconds_per_step * self.limits.rate))
         self._jaws: dict[str, float] = {}
+        self._seen_at: dict[str, tuple[float, Numbers]] = {}
+        self._speeds: dict[str, float] = {}
 
     def run(self, seed: int, folder: Path | None = None) -> Episode:
         """Runs an episode. Whatever ends it, the arms hold.
@@ -99,7 +101,7 @@ class Runner:
         """
         log = Log(self.task, self.policy.name, seed)
         outcome, why, distance = "stopped", "", float("nan")
-        self._jaws = {}
+        self._jaws, self._seen_at, self._speeds = {}, {}, {}
         try:
             self.robot.reset(seed)
             self._prepare()
@@ -210,7 +212,9 @@ class Runner:
         sent = self._in_scene(name, read(f"{name}/setpoint_cp", arm.setpoint_cp)[0])
         jaw = self._jaws.get(name, reading.jaws[name])
         off = float(np.linalg.norm(sent.position - measured.position))
-        is_held_up = off > self.limits.held_up or self._is_dry
+        # A late arm is off, too, but is on its way.
+        coming = self._speeds.get(name, 0.0) * self.task.spec.seconds_per_step
+        is_held_up = off > max(self.limits.held_up, coming) or self._is_dry
         return Aim(sent, jaw), Aim(measured if is_held_up else sent, jaw)
 
     def _servo(self, aims: dict[str, tuple[Aim, Aim]], share: float, log: Log) -> None:
@@ -261,7 +265,13 @@ class Runner:
             get = arm.local.measured_cp if self.task.moves_camera else arm.measured_cp
             frame, stamps[f"{name}/{topic}"] = read(f"{name}/{topic}", get)
             pose = Pose.of_frame(frame) if self.task.moves_camera else self._in_scene(name, frame)
-            log.measured(name, stamps[f"{name}/{topic}"], pose)
+            stamp = stamps[f"{name}/{topic}"]
+            log.measured(name, stamp, pose)
+            before, place = self._seen_at.get(name, (stamp, pose.position))
+            if stamp > before:
+                way = float(np.linalg.norm(pose.position - place))
+                self._speeds[name] = way / (stamp - before)
+            self._seen_at[name] = (stamp, pose.position)
         return stamps
 
     def _wait_for_topics(self) -> Reading:
