@@ -487,8 +487,8 @@ impl Env {
             arms.iter_mut().map(|arm| &*arm.instrument()).collect();
         let mut damage = Damage::default();
         for body in world.soft_bodies() {
-            damage += body.damage(|middle, edge| {
-                instruments.iter().any(|each| each.grips_element(world, middle, edge))
+            damage += body.damage(|point, reach| {
+                instruments.iter().any(|each| each.is_between(world, point, reach))
             });
         }
         damage

@@ -290,11 +290,6 @@ impl Instrument {
         if self.stale { 0.0 } else { world.tissue_pressure(&self.bodies()) }
     }
 
-    /// Whether an element of tissue of this `edge` is between its fingers in part.
-    pub fn grips_element(&self, world: &World, middle: &Point3<f64>, edge: f64) -> bool {
-        self.is_between(world, middle, 0.5 * edge)
-    }
-
     /// Attaches what is between its fingers of a soft body's skin, or up to `distance` (m) from there, to its wrist.
     pub fn attach_skin(&self, world: &mut World, soft: SoftId, distance: f64) {
         if self.stale {
@@ -305,7 +300,7 @@ impl Instrument {
     }
 
     /// Whether a point is between its fingers, whichever way they are turned, or up to `reach` (m) from there.
-    fn is_between(&self, world: &World, point: &Point3<f64>, reach: f64) -> bool {
+    pub fn is_between(&self, world: &World, point: &Point3<f64>, reach: f64) -> bool {
         let half = self.jaws.finger_half;
         let fingers = self.world_from_fingers(world);
         // From the inner face of a finger on, the other finger is on the side of its y axis, or on the other side.

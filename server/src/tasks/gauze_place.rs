@@ -112,7 +112,7 @@ use super::relative;
 use super::soft_grasp::SoftGrasp;
 use super::theatre;
 use super::tissue::{self, Substance};
-use super::tissue_task::{self, HOLD, SHOWN};
+use super::tissue_task::{self, HOLD};
 use super::tray;
 use super::{Arms, Registered, State, Task};
 use crate::render::Scene;
@@ -179,7 +179,7 @@ const OVER: f64 = 1.5e-3;
 const DOWN: f64 = 2.5e-3;
 
 /// Jaws that are closed and this far open have something between them, rad.
-const EMPTY: f64 = 0.02;
+const EMPTY: f64 = 0.01;
 
 /// The task; see the module's description.
 #[derive(Debug, Clone)]
@@ -258,7 +258,7 @@ impl Task for GauzePlace {
     }
 
     fn relative(&self, state: &[Element]) -> Relative {
-        relative::handling(&self.arm, self.outline.len(), "gauze", state, 5)
+        relative::handling(&self.arm, ("outline", self.outline.len()), "gauze", state, 5)
     }
 
     fn reset(&mut self, world: &mut World, rng: &mut Rng) {
@@ -318,10 +318,7 @@ impl Task for GauzePlace {
             let name = format!("outline {}", index + 1);
             objects::position(&name, &THEATRE, Preset::Paper, &at.coords, state);
         }
-        for (finger, pressure) in self.arm.pressures(world).into_iter().enumerate() {
-            let name = format!("pressure on finger {}", finger + 1);
-            state.field(|| Element::new(&name, "", "N", 0.0, SHOWN as f32), pressure.min(SHOWN));
-        }
+        tissue_task::pressures(&self.arm, world, state);
         state.field(|| Element::new("covered", "", "1", 0.0, 1.0), self.covered);
     }
 

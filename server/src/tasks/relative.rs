@@ -229,12 +229,12 @@ pub(super) fn reaching(arm: &PsmArm, preset: Preset) -> Relative {
     list.done()
 }
 
-/// The features of a task that brings a `point` of a sheet somewhere. Its state has the point, that less the wrist's, so many
-/// points of the sheet and other numbers, told as parts of their range; its goal of `goal_dim` numbers begins with the
+/// The features of a task that brings a `point` of a soft body somewhere. Its state has the point, that less the wrist's,
+/// `points` with this name and so many, and other numbers, told as parts of their range; its goal of `goal_dim` numbers begins with the
 /// point's place.
 pub(super) fn handling(
     arm: &PsmArm,
-    points: usize,
+    (name, points): (&str, usize),
     point: &str,
     state: &[Element],
     goal_dim: usize,
@@ -247,8 +247,8 @@ pub(super) fn handling(
     list.jaw("jaw", JAW);
     list.offset(&format!("{point} from tip"), Place::At(at), tip, &[FAR, NEAR[0], NEAR[2]]);
     for index in 0..points {
-        let name = format!("sheet {} from tip", index + 1);
-        list.offset(&name, Place::At(first + 3 * index), tip, &[FAR]);
+        let what = format!("{name} {} from tip", index + 1);
+        list.offset(&what, Place::At(first + 3 * index), tip, &[FAR]);
     }
     for (to, element) in state.iter().enumerate().skip(first + 3 * points) {
         list.part(to, element);

@@ -47,7 +47,7 @@ const HELD: f32 = 0.1;
 const MOST_PULL: f64 = 3.0;
 
 /// Forces beyond this are shown as this, N.
-pub const SHOWN: f64 = 20.0;
+const SHOWN: f64 = 20.0;
 
 /// The distance of the point that takes 1 from the dense reward, m.
 pub const LENGTH: f32 = 0.01;
@@ -73,7 +73,7 @@ const LOW_ENOUGH: f64 = 2e-3;
 const CLOSING: f64 = 4e-3;
 
 /// Jaws that are closed and this far open have something between them, rad.
-const EMPTY: f64 = 0.02;
+const EMPTY: f64 = 0.01;
 
 /// What is done with a sheet.
 pub trait Purpose: Debug + Clone + Send + Sync + 'static {
@@ -177,6 +177,14 @@ pub fn part(name: &str, numbers: Range<usize>, tolerance: f32, unit: f32) -> Goa
     GoalPart { name: name.into(), start, count: end - start, tolerance, unit }
 }
 
+/// Goes through the fields that tell how hard each finger is pressed.
+pub fn pressures(arm: &PsmArm, world: &World, state: &mut State<'_>) {
+    for (finger, pressure) in arm.pressures(world).into_iter().enumerate() {
+        let name = format!("pressure on finger {}", finger + 1);
+        state.field(|| Element::new(&name, "", "N", 0.0, SHOWN as f32), pressure.min(SHOWN));
+    }
+}
+
 /// Draws a disc that lies on the pad.
 pub fn draw_disc(name: &'static str, at: &Vector3<f64>, radius: f64, scene: &mut Scene) {
     const HALF_THICKNESS: f64 = 0.2e-3;
@@ -240,7 +248,8 @@ impl<P: Purpose> Task for Handling<P> {
 
     fn relative(&self, state: &[Element]) -> Relative {
         let goal_dim = COMMON + P::parts().len();
-        relative::handling(&self.arm, self.sheet.observed_count(), P::POINT, state, goal_dim)
+        let sheet = ("sheet", self.sheet.observed_count());
+        relative::handling(&self.arm, sheet, P::POINT, state, goal_dim)
     }
 
     fn reset(&mut self, world: &mut World, rng: &mut Rng) {
@@ -290,10 +299,7 @@ impl<P: Purpose> Task for Handling<P> {
             let name = format!("sheet {}", index + 1);
             objects::position(&name, &THEATRE, Preset::Paper, &at, state);
         }
-        for (finger, pressure) in self.arm.pressures(world).into_iter().enumerate() {
-            let name = format!("pressure on finger {}", finger + 1);
-            state.field(|| Element::new(&name, "", "N", 0.0, SHOWN as f32), pressure.min(SHOWN));
-        }
+        pressures(&self.arm, world, state);
         self.purpose.state(state);
     }
 

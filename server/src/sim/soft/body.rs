@@ -21,7 +21,7 @@ const STILL: f64 = 1e-3;
 const LEAST_STEP: f64 = 1e-8;
 
 /// Time after which a body that hardly moves falls asleep, s.
-const SLEEP_AFTER: f64 = 0.25;
+const SLEEP_AFTER: f64 = 0.1;
 
 /// Distance at which what moves wakes a body that sleeps, m.
 const WAKE_DISTANCE: f64 = 2e-3;
@@ -162,18 +162,30 @@ impl SoftBody {
         places.iter().map(|place| self.lattice.point(place))
     }
 
-    /// What was done to its elements. Those are between jaws of which `is_gripped` says so: it gets the middle and the
-    /// edge, m.
-    pub fn damage(&self, is_gripped: impl Fn(&Point3<f64>, f64) -> bool) -> Damage {
+    /// What was done to its elements. One is between jaws if its middle or a corner is, as `is_between` says: whether a
+    /// point is between jaws, or up to a distance (m) from there.
+    pub fn damage(&self, is_between: impl Fn(&Point3<f64>, f64) -> bool) -> Damage {
         let form = self.lattice.form();
         let Some(ultimate) = self.ultimate_strain else { return Damage::default() };
-        let middle = |element| MaterialPoint { element, at: [0.5; 3] };
+        let offsets = form.grid.corner_offsets();
+        // The corners of an element that is stretched to twice its length are as near to its middle.
+        let near = 2.0 * form.grid.spacing;
+        // Nodes lie outside of the skin, where fingers are that press on it.
+        let outside = 0.25 * form.grid.spacing;
+        let is_gripped = |element: usize| {
+            let middle = MaterialPoint { element: element as u32, at: [0.5; 3] };
+            let middle = self.lattice.point(&middle);
+            let mut corners = offsets.iter().map(|offset| self.lattice.node(element + offset));
+            is_between(&middle, near)
+                && (is_between(&middle, outside)
+                    || corners.any(|corner| is_between(&corner, outside)))
+        };
         let mut damage = Damage::default();
         for element in form.elements() {
             // Its eigenvalues are the squares of the principal stretches.
             let gradient = self.lattice.deformation_gradient(element);
             let squares = gradient.tr_mul(&gradient);
-            if is_gripped(&self.lattice.point(&middle(element as u32)), form.grid.spacing) {
+            if is_gripped(element) {
                 let least = (1.0 - ultimate).max(0.0);
                 let above = squares - Matrix3::identity() * (least * least);
                 damage.gripped += 1;

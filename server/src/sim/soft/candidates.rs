@@ -6,9 +6,11 @@
 use nalgebra::Vector3;
 use wide::f32x4;
 
+use super::contact;
 use super::lattice::{CORNERS, Lattice};
 use super::material::Friction;
 use super::proxy::{PartProxy, Proxy};
+use super::shape::Shape;
 use super::skin::{MaterialPoint, Samples, Skin};
 
 /// Weight of a corner that counts: more than rounding. Otherwise a sample between nodes that are held would be as heavy
@@ -28,6 +30,8 @@ pub(super) struct Candidate {
     pub friction: f32,
     /// For how much of the skin it stands, m².
     pub area: f32,
+    /// The face that it is beside, where that stands still and its edges are far.
+    pub face: Option<Face>,
     /// The nodes that count, by their numbers among [`Nodes`]; how much, and that over their masses.
     count: u8,
     nodes: [u16; CORNERS],
@@ -41,6 +45,23 @@ pub(super) struct Candidate {
     pub pressed: bool,
 }
 
+/// A flat face in this step.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Face {
+    /// Normal and tangents, axes of the world.
+    pub axes: [Vector3<f32>; 3],
+    /// How far it is from the lattice's origin along the normal, m.
+    offset: f32,
+}
+
+impl Face {
+    /// How far a point is beyond it, m.
+    #[inline]
+    pub(super) fn distance(&self, point: &Vector3<f32>) -> f32 {
+        self.axes[0].dot(point) - self.offset
+    }
+}
+
 impl Candidate {
     /// A sample beside a part; `key`, `proxy`, `part`, `friction` and `area` are to be set.
     fn new(lattice: &Lattice, place: &MaterialPoint, nodes: &mut Nodes) -> Self {
@@ -50,6 +71,7 @@ impl Candidate {
             part: 0,
             friction: 0.0,
             area: 0.0,
+            face: None,
             count: 0,
             nodes: [0; CORNERS],
             weights: [0.0; CORNERS],
@@ -76,21 +98,31 @@ impl Candidate {
 
     /// What the sample has of something that its nodes have.
     #[inline]
-    pub(super) fn mean(&self, of: &[f32x4]) -> Vector3<f32> {
-        let mut sum = f32x4::from([0.0; 4]);
-        for (node, weight) in self.nodes.iter().zip(&self.weights).take(self.count as usize) {
-            sum += of[*node as usize] * f32x4::from([*weight; 4]);
-        }
+    pub(super) fn mean(&self, of: &[f32x4]) -> [f32; 3] {
+        let part =
+            |corner: usize| of[self.nodes[corner] as usize] * f32x4::splat(self.weights[corner]);
+        let sum = if self.count as usize == CORNERS {
+            // In pairs: no sum waits for all others.
+            ((part(0) + part(1)) + (part(2) + part(3)))
+                + ((part(4) + part(5)) + (part(6) + part(7)))
+        } else {
+            (0..self.count as usize).map(part).fold(f32x4::ZERO, |sum, part| sum + part)
+        };
         let [x, y, z, _] = sum.to_array();
-        Vector3::new(x, y, z)
+        [x, y, z]
     }
 
-    /// Gives an impulse to its nodes.
+    /// Gives an impulse to its nodes: x, y and z.
     #[inline]
-    pub(super) fn push(&self, impulse: &Vector3<f32>, velocities: &mut [f32x4]) {
-        let lanes = f32x4::from([impulse.x, impulse.y, impulse.z, 0.0]);
-        for (node, mobility) in self.nodes.iter().zip(&self.mobilities).take(self.count as usize) {
-            velocities[*node as usize] += lanes * f32x4::from([*mobility; 4]);
+    pub(super) fn push(&self, impulse: f32x4, velocities: &mut [f32x4]) {
+        let mut push = |corner: usize| {
+            velocities[self.nodes[corner] as usize] +=
+                impulse * f32x4::splat(self.mobilities[corner]);
+        };
+        if self.count as usize == CORNERS {
+            (0..CORNERS).for_each(push);
+        } else {
+            (0..self.count as usize).for_each(&mut push);
         }
     }
 }
@@ -195,8 +227,14 @@ impl Candidates {
             for (part_number, part) in proxy.parts.iter().enumerate() {
                 let key = u64::from(proxy.key()) << 32 | (part_number as u64) << 24;
                 let mut add = |index: usize, place: &MaterialPoint, area: f32| {
-                    if part.gap(&lattice.local(place).into(), reach).is_some() {
+                    let point = lattice.local(place).into();
+                    if let Some(gap) = part.gap(&point, reach) {
+                        let is_flat = proxy.is_static && part.is_flat_near(&point, 2.0 * reach);
                         found.push(Candidate {
+                            face: is_flat.then(|| Face {
+                                axes: contact::axes(&gap.normal),
+                                offset: gap.normal.dot(&point) - gap.distance,
+                            }),
                             key: key | index as u64,
                             proxy: number as u16,
                             part: part_number as u16,
@@ -302,6 +340,12 @@ fn spread(
 }
 
 impl PartProxy {
+    /// Whether its surface is a flat face within `reach` of a point that is at it.
+    fn is_flat_near(&self, point: &Vector3<f32>, reach: f32) -> bool {
+        let local = self.at.axes.tr_mul(&(point - self.at.origin));
+        matches!(self.shape, Shape::Cuboid(_)) && !self.shape.is_sharp_near(&local, reach)
+    }
+
     /// Whether its surface has an edge within `reach` of a region, or is curved as narrowly as that.
     fn is_sharp_near(&self, near: &Region, reach: f32) -> bool {
         let middle = self.at.axes.tr_mul(&(0.5 * (near.min + near.max) - self.at.origin));

@@ -12,7 +12,7 @@
 //! The effective mass of a row along d is 1 / (Σ w²/m + 1/M + (r × d)·I⁻¹(r × d)). w are the weights of the corners of the
 //! sample's element and m their masses; M and I are mass and inertia of the rigid body, and r points from its centre to
 //! the sample. Contacts begin with the impulses of the substep before: without that friction creeps. Those with what moves
-//! are solved one after the other (projected Gauss–Seidel), [`SWEEPS`] times; those with what stands still once before,
+//! are solved one after the other (projected Gauss–Seidel), up to [`SWEEPS`] times; those with what stands still once before,
 //! since they hardly act on each other.
 
 use std::cell::Cell;
@@ -26,8 +26,11 @@ use super::material::Friction;
 use super::proxy::Proxy;
 use super::skin::Skin;
 
-/// How often all contacts with what moves are solved in a substep.
+/// How often all contacts with what moves are solved in a substep, at most.
 const SWEEPS: usize = 8;
+
+/// They are solved no more once that has changed impulses by less than this part of them (root of the mean square).
+const SETTLED: f32 = 0.003;
 
 /// Distance from which on contacts are looked at in a substep, m.
 const REACH: f32 = 0.3e-3;
@@ -156,8 +159,14 @@ impl Contacts {
             contact.solve::<true>(beside_fixed, velocities, proxies);
         }
         for _ in 0..SWEEPS {
+            let (mut changes, mut impulses) = (f32x4::ZERO, f32x4::ZERO);
             for contact in &mut *moving {
-                contact.solve::<false>(beside_moving, velocities, proxies);
+                let change = contact.solve::<false>(beside_moving, velocities, proxies);
+                changes += change * change;
+                impulses += contact.impulse * contact.impulse;
+            }
+            if changes.reduce_add() < SETTLED * SETTLED * impulses.reduce_add() {
+                break;
             }
         }
         nodes.store(lattice);
@@ -185,7 +194,7 @@ impl Contacts {
         nodes.load(lattice);
         let depths = fixed.iter().chain(moving.iter()).filter_map(|candidate| {
             let part = &proxies[candidate.proxy as usize].parts[candidate.part as usize];
-            let point = candidate.mean(&nodes.places);
+            let point = Vector3::from(candidate.mean(&nodes.places));
             part.gap(&point, 0.0).map(|gap| f64::from(-gap.distance))
         });
         depths.fold(0.0, f64::max)
@@ -199,10 +208,27 @@ struct Contact {
     /// Least velocity along the normal.
     least: f32,
     arm: Vector3<f32>,
-    /// Normal and tangents.
-    axes: [Vector3<f32>; 3],
-    effective_mass: [f32; 3],
-    impulse: [f32; 3],
+    /// Normal and tangents: x, y and z of each.
+    axes: [f32x4; 3],
+    /// The same as rows: normal and tangents of x, of y and of z.
+    rows: [f32x4; 3],
+    /// How an impulse along each changes the rate of turning of the rigid body.
+    turns: [f32x4; 3],
+    effective_mass: f32x4,
+    /// Along normal and tangents.
+    impulse: f32x4,
+}
+
+/// Three numbers, and a fourth that is 0.
+#[inline]
+fn lanes(vector: &Vector3<f32>) -> f32x4 {
+    f32x4::from([vector.x, vector.y, vector.z, 0.0])
+}
+
+/// The sum of three columns, each so many times.
+#[inline]
+fn combined(columns: &[f32x4; 3], [a, b, c]: [f32; 3]) -> f32x4 {
+    columns[0] * f32x4::splat(a) + columns[1] * f32x4::splat(b) + columns[2] * f32x4::splat(c)
 }
 
 /// Finds the contacts of this substep. `FIXED` says that what candidates are beside stands still.
@@ -217,30 +243,46 @@ fn detect<const FIXED: bool>(
     for (number, candidate) in (0_u32..).zip(candidates) {
         let proxy = &proxies[candidate.proxy as usize];
         let part = &proxy.parts[candidate.part as usize];
-        let point = candidate.mean(places);
-        let Some(gap) = part.gap(&point, REACH) else {
+        let point = Vector3::from(candidate.mean(places));
+        let found = match &candidate.face {
+            Some(face) if FIXED => {
+                let distance = face.distance(&point);
+                (distance <= REACH).then_some((distance, face.axes))
+            }
+            _ => part.gap(&point, REACH).map(|gap| (gap.distance, axes(&gap.normal))),
+        };
+        let Some((distance, axes)) = found else {
             candidate.impulse = Vector3::zeros();
             continue;
         };
-        let least = if gap.distance > 0.0 {
-            -gap.distance / seconds
+        let least = if distance > 0.0 {
+            -distance / seconds
         } else {
-            (UNDONE * (-gap.distance - SLOP).max(0.0) / seconds).min(RECOVERY)
+            (UNDONE * (-distance - SLOP).max(0.0) / seconds).min(RECOVERY)
         };
         let arm = point - proxy.centre;
-        let axes = axes(&gap.normal);
         let mass = |mobility: f32| if mobility > LEAST_MOBILITY { 1.0 / mobility } else { 0.0 };
-        let effective_mass = if FIXED {
-            [mass(candidate.mobility); 3]
-        } else {
-            axes.map(|axis| {
-                let turn = arm.cross(&axis);
-                let turning = turn.dot(&(proxy.inverse_inertia * turn));
-                mass(candidate.mobility + proxy.inverse_mass + turning)
-            })
-        };
-        let impulse = [0.0; 3];
-        contacts.push(Contact { candidate: number, least, arm, axes, effective_mass, impulse });
+        let (mut masses, mut turns) = ([mass(candidate.mobility); 3], [f32x4::ZERO; 3]);
+        if !FIXED {
+            for (axis, (own, turn)) in axes.iter().zip(masses.iter_mut().zip(&mut turns)) {
+                let moment = arm.cross(axis);
+                let turned = proxy.inverse_inertia * moment;
+                *own = mass(candidate.mobility + proxy.inverse_mass + moment.dot(&turned));
+                *turn = lanes(&turned);
+            }
+        }
+        let [normal, first, second] = &axes;
+        contacts.push(Contact {
+            candidate: number,
+            least,
+            arm,
+            axes: axes.each_ref().map(lanes),
+            rows: [0, 1, 2]
+                .map(|axis: usize| f32x4::from([normal[axis], first[axis], second[axis], 0.0])),
+            turns,
+            effective_mass: f32x4::from([masses[0], masses[1], masses[2], 0.0]),
+            impulse: f32x4::ZERO,
+        });
     }
 }
 
@@ -248,13 +290,15 @@ fn detect<const FIXED: bool>(
 fn report(candidates: &mut [Candidate], contacts: &[Contact], proxies: &mut [Proxy]) {
     for contact in contacts {
         let candidate = &mut candidates[contact.candidate as usize];
-        let impulse = contact.vector(contact.impulse);
+        let [normal, first, second, _] = contact.impulse.to_array();
+        let [x, y, z, _] = combined(&contact.axes, [normal, first, second]).to_array();
+        let impulse = Vector3::new(x, y, z);
         candidate.impulse = impulse;
-        if contact.impulse[0] == 0.0 {
+        if normal == 0.0 {
             continue;
         }
         let proxy = &mut proxies[candidate.proxy as usize];
-        let (normal, place) = (f64::from(contact.impulse[0]), contact.arm + proxy.centre);
+        let (normal, place) = (f64::from(normal), contact.arm + proxy.centre);
         proxy.load.impulse -= impulse.cast::<f64>();
         proxy.load.angular -= contact.arm.cross(&impulse).cast::<f64>();
         proxy.load.pressing += normal;
@@ -277,22 +321,15 @@ fn note_pressures(candidates: &[Candidate], proxies: &mut [Proxy], seconds: f64)
 }
 
 impl Contact {
-    /// Tangential impulses that friction can bear.
+    /// Impulses along normal and tangents as contact and friction can bear them.
     #[inline]
-    fn held(&self, friction: f32, along: [f32; 2]) -> [f32; 2] {
-        let most = friction * self.impulse[0];
-        let square = along[0] * along[0] + along[1] * along[1];
-        if square > most * most {
-            let part = most / square.sqrt();
-            along.map(|impulse| impulse * part)
-        } else {
-            along
-        }
-    }
-
-    #[inline]
-    fn vector(&self, along: [f32; 3]) -> Vector3<f32> {
-        self.axes[0] * along[0] + self.axes[1] * along[1] + self.axes[2] * along[2]
+    fn borne(friction: f32, wanted: f32x4) -> f32x4 {
+        let [normal, first, second, _] = wanted.to_array();
+        let normal = normal.max(0.0);
+        let most = friction * normal;
+        let square = first * first + second * second;
+        let part = if square > most * most { most / square.sqrt() } else { 1.0 };
+        f32x4::from([normal, first * part, second * part, 0.0])
     }
 
     /// Begins with the impulse of the substep before, as a force.
@@ -308,13 +345,9 @@ impl Contact {
         if candidate.impulse == Vector3::zeros() {
             return;
         }
-        let before = candidate.impulse * scale;
-        let [normal, first, second] = self.axes.map(|axis| axis.dot(&before));
-        self.impulse[0] = normal.max(0.0);
-        let along = self.held(candidate.friction, [first, second]);
-        self.impulse = [self.impulse[0], along[0], along[1]];
-        let impulse = self.vector(self.impulse);
-        self.apply::<FIXED>(candidate, &impulse, velocities, proxies);
+        let before = combined(&self.rows, (candidate.impulse * scale).into());
+        self.impulse = Self::borne(candidate.friction, before);
+        self.apply::<FIXED>(candidate, self.impulse, velocities, proxies);
     }
 
     #[inline]
@@ -323,46 +356,50 @@ impl Contact {
         candidates: &[Candidate],
         velocities: &mut [f32x4],
         proxies: &mut [Proxy],
-    ) {
+    ) -> f32x4 {
         let candidate = &candidates[self.candidate as usize];
-        let mut velocity = candidate.mean(velocities);
+        let mut velocity = Vector3::from(candidate.mean(velocities));
         if !FIXED {
             let proxy = &proxies[candidate.proxy as usize];
             velocity -= proxy.velocity + proxy.rate.cross(&self.arm);
         }
-        let [normal, first, second] = self.axes.map(|axis| axis.dot(&velocity));
+        let least = f32x4::from([self.least, 0.0, 0.0, 0.0]);
+        let missing = least - combined(&self.rows, velocity.into());
         let before = self.impulse;
-        let [m, m_first, m_second] = self.effective_mass;
-        self.impulse[0] = (before[0] + (self.least - normal) * m).max(0.0);
-        let along = [before[1] - first * m_first, before[2] - second * m_second];
-        let along = self.held(candidate.friction, along);
-        self.impulse = [self.impulse[0], along[0], along[1]];
-        let change = [0, 1, 2].map(|axis: usize| self.impulse[axis] - before[axis]);
-        if change != [0.0; 3] {
-            self.apply::<FIXED>(candidate, &self.vector(change), velocities, proxies);
+        self.impulse = Self::borne(candidate.friction, before + missing * self.effective_mass);
+        let change = self.impulse - before;
+        if change != f32x4::ZERO {
+            self.apply::<FIXED>(candidate, change, velocities, proxies);
         }
+        change
     }
 
     #[inline]
     fn apply<const FIXED: bool>(
         &self,
         candidate: &Candidate,
-        impulse: &Vector3<f32>,
+        along: f32x4,
         velocities: &mut [f32x4],
         proxies: &mut [Proxy],
     ) {
+        let [normal, first, second, _] = along.to_array();
+        let impulse = combined(&self.axes, [normal, first, second]);
         candidate.push(impulse, velocities);
         if !FIXED {
             let proxy = &mut proxies[candidate.proxy as usize];
-            proxy.velocity -= impulse * proxy.inverse_mass;
-            proxy.rate -= proxy.inverse_inertia * self.arm.cross(impulse);
+            if proxy.inverse_mass > 0.0 {
+                let [x, y, z, _] = impulse.to_array();
+                proxy.velocity -= Vector3::new(x, y, z) * proxy.inverse_mass;
+            }
+            let [x, y, z, _] = combined(&self.turns, [normal, first, second]).to_array();
+            proxy.rate -= Vector3::new(x, y, z);
         }
     }
 }
 
 /// A normal and two tangents.
 #[inline]
-fn axes(normal: &Vector3<f32>) -> [Vector3<f32>; 3] {
+pub(super) fn axes(normal: &Vector3<f32>) -> [Vector3<f32>; 3] {
     let seed = if normal.x.abs() < 0.6 { Vector3::x() } else { Vector3::y() };
     let tangent = normal.cross(&seed);
     let tangent = tangent / tangent.norm();

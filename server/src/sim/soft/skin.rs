@@ -184,12 +184,16 @@ impl Lattice {
     /// The same from the lattice's origin on.
     #[inline]
     pub(super) fn local(&self, place: &MaterialPoint) -> [f32; 3] {
-        let (weights, offsets) = (place.weights(), self.form.grid.corner_offsets());
-        [0, 1, 2].map(|axis: usize| {
-            let x = &self.x[axis];
-            let corners = offsets.iter().zip(weights);
-            corners.map(|(offset, weight)| weight * x[place.element as usize + offset]).sum()
-        })
+        let (weights, [_, row, layer]) = (place.weights(), self.form.grid.strides());
+        let first = place.element as usize;
+        let rows = [first, first + row, first + layer, first + layer + row];
+        let mut at = [0.0; 3];
+        for (at, x) in at.iter_mut().zip(&self.x) {
+            for (ends, row) in weights.chunks_exact(2).zip(rows) {
+                *at += ends[0] * x[row] + ends[1] * x[row + 1];
+            }
+        }
+        at
     }
 }
 
