@@ -165,7 +165,9 @@ impl Contacts {
                 changes += change * change;
                 impulses += contact.impulse * contact.impulse;
             }
-            if changes.reduce_add() < SETTLED * SETTLED * impulses.reduce_add() {
+            // In an order that no processor decides.
+            let sum = |squares: f32x4| squares.to_array().iter().sum::<f32>();
+            if sum(changes) < SETTLED * SETTLED * sum(impulses) {
                 break;
             }
         }
