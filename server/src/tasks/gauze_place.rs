@@ -102,14 +102,14 @@ use trocar_proto::relative::Relative;
 use trocar_proto::spec::{Element, GoalSpec, OptionSpec};
 use trocar_proto::{Options, Rejection, Stage};
 
-use super::expert::{ArmView, ExpertInput, Sees};
+use super::expert::{ArmView, ExpertInput};
 use super::exposure;
 use super::objects::{self, THEATRE, TOLERANCE};
 use super::options::{Domain, Preset};
 use super::pick;
-use super::psm_scene::{PaperAction, PsmArm, REACH, Turn, WORKSPACE};
+use super::psm_scene::{PaperAction, PsmArm, Turn, WORKSPACE};
 use super::relative;
-use super::soft_grasp::SoftGrasp;
+use super::soft_grasp::{self, SoftGrasp};
 use super::theatre;
 use super::tissue::{self, Substance};
 use super::tissue_task::{self, HOLD};
@@ -177,9 +177,6 @@ const LOW_ENOUGH: f64 = 1.5e-3;
 /// How far beside the spot the gauze is let down, m, and with its middle how far above where it is to lie it is let go, m.
 const OVER: f64 = 1.5e-3;
 const DOWN: f64 = 2.5e-3;
-
-/// Jaws that are closed and this far open have something between them, rad.
-const EMPTY: f64 = 0.01;
 
 /// The task; see the module's description.
 #[derive(Debug, Clone)]
@@ -307,13 +304,8 @@ impl Task for GauzePlace {
 
     fn state(&self, world: &World, state: &mut State<'_>) {
         self.arm.state(world, state);
-        let wrist = self.arm.scene_from_wrist().translation.vector;
-        let lattice = world.soft(self.gauze).lattice();
-        let middle = lattice.point(&self.middle).coords;
-        objects::position("gauze", &THEATRE, Preset::Paper, &middle, state);
-        let from_wrist = Aabb { min: THEATRE.min - REACH.max, max: THEATRE.max - REACH.min };
-        let (name, off) = ("gauze from wrist", middle - wrist);
-        objects::position(name, &from_wrist.grown(1e-3), Preset::Paper, &off, state);
+        let (middle, wrist) = (self.at(world), self.arm.scene_from_wrist());
+        objects::position_and_from_wrist("gauze", &middle, wrist, Preset::Paper, state);
         for (index, at) in world.soft(self.gauze).points(&self.outline).enumerate() {
             let name = format!("outline {}", index + 1);
             objects::position(&name, &THEATRE, Preset::Paper, &at.coords, state);
@@ -371,7 +363,7 @@ impl GauzePlace {
         let middle = self.at(world) + input.position_error;
         let way = self.goal - middle;
         let rise = |height: f64| Pose::from(Vector3::z() * height);
-        if self.has(arm, &middle, world, input) {
+        if self.grasp.has_closed(arm, world, input.sees, &middle, 2.0 * CLOSING) {
             let low = self.goal.z + CARRIED - middle.z;
             if way.xy().norm() > OVER {
                 let (x, y) = if low > 0.5 * CARRIED { (0.0, 0.0) } else { (way.x, way.y) };
@@ -402,32 +394,6 @@ impl GauzePlace {
         let is_low = off.z < LOW || off.z < LOW_ENOUGH && arm.is_held_up();
         let is_closing = arm.closes() && off.norm() < CLOSING && !arm.is_closed();
         let is_about = is_aligned && is_turned && arm.is_open() && !arm.closes();
-        if is_closing || is_about && is_low {
-            (Stage::Pick, grasp, JAW_CLOSED)
-        } else if is_about {
-            (Stage::Approach, grasp, JAW_OPEN)
-        } else {
-            (Stage::Approach, rise(HOVER + 1e-3) * grasp, JAW_OPEN)
-        }
-    }
-
-    /// Whether the jaws have closed on the gauze: both fingers press on it, or something keeps them apart where it is.
-    fn has(
-        &self,
-        arm: &ArmView<'_>,
-        middle: &Vector3<f64>,
-        world: &World,
-        input: &ExpertInput<'_>,
-    ) -> bool {
-        if !arm.is_closed() {
-            return false;
-        }
-        match input.sees {
-            Sees::Truth => self.grasp.holds(arm.arm(), world),
-            Sees::Measured => {
-                let tip = arm.wrist * Point3::new(0.0, 0.0, TIP_OFFSET);
-                arm.opening > EMPTY && (tip.coords - middle).norm() < 2.0 * CLOSING
-            }
-        }
+        soft_grasp::go_for(&grasp, is_about, is_closing || is_about && is_low, HOVER + 1e-3)
     }
 }

@@ -107,18 +107,27 @@ pub fn state(
     preset: Preset,
     state: &mut State<'_>,
 ) {
-    let [origin, wrist] = [scene_from_object, wrist].map(|pose| pose.translation.vector);
-    position(object, &THEATRE, preset, &origin, state);
-    let scale = options::position_scale(preset);
-    let less_wrist = origin * scale - wrist * scale;
-    let elements = || {
-        let relative = Aabb { min: THEATRE.min - REACH.max, max: THEATRE.max - REACH.min };
-        let name = format!("{object} from wrist");
-        position_elements(&name, &relative.grown(1e-3), preset)
-    };
-    state.fields(elements, less_wrist.iter().copied());
+    position_and_from_wrist(object, &scene_from_object.translation.vector, wrist, preset, state);
     position(place, &THEATRE, preset, &scene_from_place.translation.vector, state);
     state.angles(place, "scene", frames::euler_xyz(&scene_from_place.rotation));
+}
+
+/// What a state has of a position `at` (m) that an object takes along where it is lost: that (3), and that less the wrist's as sensed (3).
+pub fn position_and_from_wrist(
+    name: &str,
+    at: &Vector3<f64>,
+    wrist: &Pose,
+    preset: Preset,
+    state: &mut State<'_>,
+) {
+    position(name, &THEATRE, preset, at, state);
+    let scale = options::position_scale(preset);
+    let less_wrist = at * scale - wrist.translation.vector * scale;
+    let elements = || {
+        let relative = Aabb { min: THEATRE.min - REACH.max, max: THEATRE.max - REACH.min };
+        position_elements(&format!("{name} from wrist"), &relative.grown(1e-3), preset)
+    };
+    state.fields(elements, less_wrist.iter().copied());
 }
 
 /// A position `at` (m) that an object takes along where it is lost, within `bounds` (m).

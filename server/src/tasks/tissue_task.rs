@@ -9,7 +9,7 @@ use std::f64::consts::FRAC_PI_2;
 use std::fmt::Debug;
 use std::ops::Range;
 
-use nalgebra::{Point3, Vector3};
+use nalgebra::Vector3;
 use trocar_proto::builtin::TaskInfo;
 use trocar_proto::goal::{GoalPart, SuccessRule};
 use trocar_proto::relative::Relative;
@@ -20,9 +20,9 @@ use super::expert::{ArmView, ExpertInput, Sees};
 use super::objects::{self, THEATRE};
 use super::options::{self, Domain, Preset};
 use super::pick;
-use super::psm_scene::{PaperAction, PsmArm, RATE, REACH, SQUEEZE, Station, Turn, WORKSPACE};
+use super::psm_scene::{PaperAction, PsmArm, RATE, SQUEEZE, Station, Turn, WORKSPACE};
 use super::relative;
-use super::soft_grasp::SoftGrasp;
+use super::soft_grasp::{self, SoftGrasp};
 use super::theatre;
 use super::tissue::{self, Sheet};
 use super::tray;
@@ -30,8 +30,8 @@ use super::{Arms, Registered, State, Task};
 use crate::render::Scene;
 use crate::render::material::Material;
 use crate::render::mesh::Mesh;
-use crate::sim::frames::{self, Aabb, Pose};
-use crate::sim::instrument::{JAW_CLOSED, JAW_OPEN, Jaws, TIP_OFFSET};
+use crate::sim::frames::{self, Pose};
+use crate::sim::instrument::{JAW_CLOSED, Jaws, TIP_OFFSET};
 use crate::sim::random::Rng;
 use crate::sim::soft::MaterialPoint;
 use crate::sim::world::World;
@@ -71,9 +71,6 @@ const LOW_ENOUGH: f64 = 2e-3;
 
 /// How far the wrist may be from the grasp while the jaws close, m.
 const CLOSING: f64 = 4e-3;
-
-/// Jaws that are closed and this far open have something between them, rad.
-const EMPTY: f64 = 0.01;
 
 /// What is done with a sheet.
 pub trait Purpose: Debug + Clone + Send + Sync + 'static {
@@ -288,13 +285,9 @@ impl<P: Purpose> Task for Handling<P> {
     }
 
     fn state(&self, world: &World, state: &mut State<'_>) {
-        let wrist = self.arm.scene_from_wrist().translation.vector;
         self.arm.state(world, state);
-        let point = self.sheet.at(world, &self.point);
-        objects::position(P::POINT, &THEATRE, Preset::Paper, &point, state);
-        let from_wrist = Aabb { min: THEATRE.min - REACH.max, max: THEATRE.max - REACH.min };
-        let name = format!("{} from wrist", P::POINT);
-        objects::position(&name, &from_wrist.grown(1e-3), Preset::Paper, &(point - wrist), state);
+        let (point, wrist) = (self.sheet.at(world, &self.point), self.arm.scene_from_wrist());
+        objects::position_and_from_wrist(P::POINT, &point, wrist, Preset::Paper, state);
         for (index, at) in self.sheet.observed(world).enumerate() {
             let name = format!("sheet {}", index + 1);
             objects::position(&name, &THEATRE, Preset::Paper, &at, state);
@@ -343,7 +336,9 @@ impl<P: Purpose> Handling<P> {
         world: &World,
         input: &ExpertInput<'_>,
     ) -> (Stage, Pose, f64) {
-        if self.has(arm, world, input) {
+        let seen = self.sheet.at(world, &self.grasp) + input.position_error;
+        let near = 2.0 * tissue::HALF.z;
+        if self.grasp_mode.has_closed(arm, world, input.sees, &seen, near) {
             let way = self.goal - self.sheet.at(world, &self.point) - input.position_error;
             return (Stage::Carry, Pose::from(way) * arm.wrist, JAW_CLOSED);
         }
@@ -360,30 +355,9 @@ impl<P: Purpose> Handling<P> {
         let grasp = Pose::from_parts(wrist.into(), pick::jaws_across(&Vector3::y(), &arm.wrist));
         let is_turned = arm.aim.rotation.angle_to(&grasp.rotation) < TURNED;
         let is_aligned = is_down || off.xy().norm() < ALIGNED;
-        let is_about = is_aligned && is_turned && arm.is_open();
+        let is_about = is_aligned && is_turned && arm.is_open() && !arm.closes();
         let is_closing = arm.closes() && is_down && !arm.is_closed();
         let is_low = off.z < LOW || off.z < LOW_ENOUGH && arm.is_held_up();
-        if is_closing || is_about && is_low && !arm.closes() {
-            (Stage::Pick, grasp, JAW_CLOSED)
-        } else if is_about && !arm.closes() {
-            (Stage::Approach, grasp, JAW_OPEN)
-        } else {
-            (Stage::Approach, Pose::from(Vector3::z() * HOVER) * grasp, JAW_OPEN)
-        }
-    }
-
-    /// Whether the jaws have closed on the sheet: both fingers press on it, or something keeps them apart where it is.
-    fn has(&self, arm: &ArmView<'_>, world: &World, input: &ExpertInput<'_>) -> bool {
-        if !arm.is_closed() {
-            return false;
-        }
-        match input.sees {
-            Sees::Truth => self.grasp_mode.holds(arm.arm(), world),
-            Sees::Measured => {
-                let tip = arm.wrist * Point3::new(0.0, 0.0, TIP_OFFSET);
-                let taken = self.sheet.at(world, &self.grasp) + input.position_error;
-                arm.opening > EMPTY && (tip.coords - taken).norm() < 2.0 * tissue::HALF.z
-            }
-        }
+        soft_grasp::go_for(&grasp, is_about, is_closing || is_about && is_low, HOVER)
     }
 }
