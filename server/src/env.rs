@@ -29,7 +29,7 @@ use trocar_proto::{Code, Options, Placement, Rejection, Stage, TaskSpec};
 
 use crate::error::StepError;
 use crate::render::{Look, Scene};
-use crate::sim::instrument::Instrument;
+use crate::sim::instrument::BetweenFingers;
 use crate::sim::motion::{Effort, MAX_INSTRUMENTS};
 use crate::sim::random::Rng;
 use crate::sim::soft::Damage;
@@ -482,14 +482,15 @@ impl Env {
     /// What was done to the elements of soft bodies.
     fn damage(&mut self) -> Damage {
         let Self { task, world, .. } = self;
-        let mut arms = task.arms();
-        let instruments: ArrayVec<&Instrument, MAX_INSTRUMENTS> =
-            arms.iter_mut().map(|arm| &*arm.instrument()).collect();
         let mut damage = Damage::default();
+        if world.soft_bodies().next().is_none() {
+            return damage;
+        }
+        let mut arms = task.arms();
+        let jaws = arms.iter_mut().map(|arm| arm.instrument().between_fingers(world));
+        let jaws: ArrayVec<BetweenFingers, MAX_INSTRUMENTS> = jaws.collect();
         for body in world.soft_bodies() {
-            damage += body.damage(|point, reach| {
-                instruments.iter().any(|each| each.is_between(world, point, reach))
-            });
+            damage += body.damage(|point, reach| jaws.iter().any(|each| each.has(point, reach)));
         }
         damage
     }

@@ -134,7 +134,8 @@ fn it_is_drawn_where_it_is_and_takes_little_memory() {
 /// What jaws of 1 N do to fat shows: they crush what they hold, and lifting it overstretches little beside them.
 fn check_damage(world: &mut World, id: SoftId, jaws: &Instrument) {
     let sheet = world.soft(id);
-    let damage = sheet.damage(|point, reach| jaws.is_between(world, point, reach));
+    let between = jaws.between_fingers(world);
+    let damage = sheet.damage(|point, reach| between.has(point, reach));
     assert!(damage.gripped > 1 && damage.gripped < 40, "{damage:?}");
     assert!(damage.crushed > 0 && damage.overstretched < 10, "{damage:?}");
     assert_eq!(damage.gripped + damage.free, sheet.lattice().form().elements().count() as u32);

@@ -12,24 +12,20 @@
 //! both coefficients. Friction has no memory of places: under load, what is held creeps
 //! by some micrometres with every movement.
 
-use nalgebra::{Point3, Unit, UnitQuaternion, Vector3};
+use nalgebra::{Unit, UnitQuaternion, Vector3};
 
-use super::frames::{self, Aabb, Pose};
+use super::frames::{Aabb, Pose};
 use super::world::{
     AttachmentId, BodyId, Hinge, HingedId, JawMotor, Motion, Overlap, PREDICTION, Part, Push,
     Shape, SoftId, World,
 };
-use crate::robots::Psm;
 
-/// From the wrist-yaw axis to the tip of the closed jaws, m, along the approach axis (the z axis
-/// of the wrist frame).
-pub const TIP_OFFSET: f64 = Psm::TIP_DISTANCE;
-
-/// Jaw angle of closed jaws, rad. The angle is the opening between both fingers.
-pub const JAW_CLOSED: f64 = 0.0;
-
-/// Jaw angle of open jaws, rad (40°, as the original's tasks open them).
-pub const JAW_OPEN: f64 = 0.698_131_700_797_731_8;
+mod jaws;
+mod posture;
+use jaws::SIDES;
+pub use jaws::{BetweenFingers, FINGER_HALF, Jaws};
+use posture::{CLEVIS_RADIUS, clevis_ends};
+pub use posture::{JAW_CLOSED, JAW_OPEN, Posture, TIP_OFFSET};
 
 /// Height that the lowest point of the closed jaws keeps above a rigid support, m: jaws that close on
 /// an object while they press on such a support lose it. One that gives may be pressed in.
@@ -41,42 +37,6 @@ const MARGIN: f64 = 1.5 * PREDICTION;
 
 /// Distance at which an object may come near in a substep, m: an object of 1.5 m/s moves by 6.3 mm.
 const REACH_OF_OBJECTS: f64 = 8e-3;
-
-/// Half extents of a finger, m: across (along the hinge), thickness, length. Source: the
-/// original's collision box, 1.4 mm × 10.2 mm × 1.8 mm.
-pub const FINGER_HALF: Vector3<f64> = Vector3::new(0.9e-3, 0.7e-3, 5.1e-3);
-
-/// What an instrument has at the end of its wrist.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Jaws {
-    /// Half extents of a finger, m: across (along the hinge), thickness, length.
-    pub finger_half: Vector3<f64>,
-    /// Whether soft bodies meet fingers that are profiled.
-    pub is_profiled: bool,
-}
-
-impl Jaws {
-    /// Of a needle driver.
-    pub const NEEDLE_DRIVER: Self = Self { finger_half: FINGER_HALF, is_profiled: false };
-
-    /// Of a tissue forceps: broad and profiled, as those of ProGrasp and Cadière forceps. They end where those of
-    /// the needle driver do, since kinematics are those of the arm.
-    pub const TISSUE_FORCEPS: Self =
-        Self { finger_half: Vector3::new(2.5e-3, 0.75e-3, 5.1e-3), is_profiled: true };
-
-    /// A finger in its own frame: hinge at the origin, length along z.
-    fn finger_box(&self, side: f64) -> Aabb {
-        let half = self.finger_half;
-        let centre = Vector3::new(0.0, side * half.y, half.z);
-        Aabb { min: centre - half, max: centre + half }
-    }
-}
-
-/// Radius of the clevis between the wrist's pitch and yaw axes, m (8 mm shaft, tapered).
-const CLEVIS_RADIUS: f64 = 2.5e-3;
-
-/// Distance of the wrist's pitch and yaw axes, m. Source: dVRK, `a` of the sixth joint.
-const CLEVIS_LENGTH: f64 = 0.0091;
 
 /// Friction coefficient of the jaws' serrated metal, as in the original.
 const FRICTION: f64 = 1.0;
@@ -100,56 +60,6 @@ const LEAST_DEPTH: f64 = 1e-6;
 
 /// From the hinge to where an object is gripped, m: the tip less 1 mm.
 const LEVER: f64 = TIP_OFFSET - 1e-3;
-
-/// Where an instrument is and how far its jaws are open.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Posture {
-    /// The wrist-yaw frame of dVRK's `measured_cp`: z along the jaws, x along their hinge.
-    pub world_from_wrist: Pose,
-    /// Opening between the fingers that is asked for, rad.
-    pub jaw: f64,
-}
-
-impl Posture {
-    /// The frame at the tip of the closed jaws, parallel to the wrist's.
-    pub fn world_from_tip(&self) -> Pose {
-        self.world_from_wrist * Pose::translation(0.0, 0.0, TIP_OFFSET)
-    }
-
-    /// The way of the wrist from this posture (0) to another (1), and that of the jaw angle.
-    #[must_use]
-    pub fn towards(&self, end: &Self, wrist: f64, jaw: f64) -> Self {
-        let world_from_wrist =
-            frames::interpolate(&self.world_from_wrist, &end.world_from_wrist, wrist);
-        Self { world_from_wrist, jaw: self.jaw + (end.jaw - self.jaw) * jaw }
-    }
-
-    /// The finger of side −1 or +1: it turns by half the opening.
-    fn world_from_finger(&self, side: f64) -> Pose {
-        let turn = UnitQuaternion::from_axis_angle(&Vector3::x_axis(), -0.5 * side * self.jaw);
-        self.world_from_wrist * turn
-    }
-
-    /// How far the clevises of instruments in two postures are apart, m; below 0 they overlap.
-    pub fn gap(&self, other: &Self) -> f64 {
-        let clevis = |posture: &Self| clevis_ends().map(|end| posture.world_from_wrist * end);
-        frames::segment_distance(&clevis(self), &clevis(other)) - 2.0 * CLEVIS_RADIUS
-    }
-
-    /// A box around fingers and clevis.
-    fn aabb(&self, jaws: &Jaws) -> Aabb {
-        self.aabb_with(jaws, SIDES.map(|side| self.world_from_finger(side)))
-    }
-
-    /// A box around fingers that are there, and the clevis.
-    fn aabb_with(&self, jaws: &Jaws, world_from_fingers: [Pose; 2]) -> Aabb {
-        let finger =
-            |index: usize| jaws.finger_box(SIDES[index]).placed(&world_from_fingers[index]);
-        let fingers = [finger(0), finger(1)];
-        let clevis = Aabb::around(clevis_ends().map(|end| self.world_from_wrist * end));
-        fingers[0].merged(&fingers[1]).merged(&clevis.grown(CLEVIS_RADIUS))
-    }
-}
 
 /// The bodies of an instrument and where they are.
 #[derive(Debug, Clone)]
@@ -295,21 +205,13 @@ impl Instrument {
         if self.stale {
             return;
         }
-        let now = world.clone();
-        world.attach_skin(soft, self.wrist, |point| self.is_between(&now, point, distance));
+        let between = self.between_fingers(world);
+        world.attach_skin(soft, self.wrist, |point| between.has(point, distance));
     }
 
-    /// Whether a point is between its fingers, whichever way they are turned, or up to `reach` (m) from there.
-    pub fn is_between(&self, world: &World, point: &Point3<f64>, reach: f64) -> bool {
-        let half = self.jaws.finger_half;
-        let fingers = self.world_from_fingers(world);
-        // From the inner face of a finger on, the other finger is on the side of its y axis, or on the other side.
-        (0..2).all(|index| {
-            let at = fingers[index].inverse_transform_point(point);
-            at.x.abs() < half.x + reach
-                && (-reach..2.0 * half.z + reach).contains(&at.z)
-                && SIDES[index] * at.y < reach
-        })
+    /// The room between its fingers.
+    pub fn between_fingers(&self, world: &World) -> BetweenFingers {
+        BetweenFingers::new(&self.jaws, self.world_from_fingers(world))
     }
 
     /// The force of a soft body on all of it, N, friction included.
@@ -545,18 +447,14 @@ fn hinge(side: f64) -> Hinge {
     }
 }
 
-/// Sides of the fingers: the sign of their y axis.
-const SIDES: [f64; 2] = [-1.0, 1.0];
-
-/// The clevis' axis in the wrist frame, from the yaw to the pitch axis of a straight wrist.
-fn clevis_ends() -> [Point3<f64>; 2] {
-    [Point3::origin(), Point3::new(0.0, 0.0, -CLEVIS_LENGTH)]
-}
-
 #[cfg(test)]
 #[expect(clippy::float_cmp, reason = "these results are exact")]
 mod tests {
+    use nalgebra::Point3;
+
+    use super::posture::CLEVIS_LENGTH;
     use super::*;
+    use crate::sim::frames;
     use crate::sim::motion::carry_out;
     use crate::sim::world::Solver;
 

@@ -8,6 +8,7 @@
 
 use nalgebra::Vector3;
 
+use super::contact::LEAST_MOBILITY;
 use super::lattice::Lattice;
 use super::proxy::Proxy;
 use super::skin::MaterialPoint;
@@ -20,9 +21,6 @@ const UNDONE: f32 = 0.2;
 
 /// Greatest speed with which it does, m/s.
 const FASTEST: f32 = 0.1;
-
-/// What moves by less for an impulse counts as immovable, 1/kg: nodes that are held.
-const LEAST_MOBILITY: f32 = 1.0;
 
 /// A sample that is attached.
 #[derive(Debug, Clone, Copy)]

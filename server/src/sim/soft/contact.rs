@@ -40,7 +40,7 @@ const UNDONE: f32 = 0.02;
 
 /// What moves by less for an impulse counts as immovable, 1/kg: a node that is held, against a finger that is pushed along
 /// itself. Nodes have some 10,000 1/kg, fingers some 50 across.
-const LEAST_MOBILITY: f32 = 1.0;
+pub(super) const LEAST_MOBILITY: f32 = 1.0;
 
 /// Greatest speed with which overlaps are undone, m/s.
 const RECOVERY: f32 = 0.02;
