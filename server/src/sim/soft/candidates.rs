@@ -1,7 +1,8 @@
 //! Samples of the skin that may touch a rigid part before a step of the world ends: found once a step.
 //!
 //! What moves meets all samples, [`Skin::fine`]. What stands still is mostly large and flat and meets the vertices,
-//! [`Skin::coarse`]; all samples, where it has an edge or is narrow.
+//! [`Skin::coarse`]; all samples, where it has an edge or is narrow. What is beside a flat
+//! face of it is [`resting`](super::resting).
 
 use nalgebra::Vector3;
 use wide::f32x4;
@@ -10,12 +11,16 @@ use super::contact;
 use super::lattice::{CORNERS, Lattice};
 use super::material::Friction;
 use super::proxy::{PartProxy, Proxy};
+use super::resting::Resting;
 use super::shape::Shape;
 use super::skin::{MaterialPoint, Samples, Skin};
 
-/// Weight of a corner that counts: more than rounding. Otherwise a sample between nodes that are held would be as heavy
-/// as the weight of its free ones is small.
+/// Weight of a corner that counts: more than rounding.
 const LEAST_WEIGHT: f32 = 1e-4;
+
+/// Sum of the weights of free nodes below which a sample counts as held: they would have to move so many times as fast
+/// as what pushes it.
+const LEAST_FREE: f32 = 0.25;
 
 /// Added to the number of a sample between those that meet a static body.
 const FINE: usize = 1 << 23;
@@ -30,36 +35,19 @@ pub(super) struct Candidate {
     pub friction: f32,
     /// For how much of the skin it stands, m².
     pub area: f32,
-    /// The face that it is beside, where that stands still and its edges are far.
-    pub face: Option<Face>,
     /// The nodes that count, by their numbers among [`Nodes`]; how much, and that over their masses.
     count: u8,
     nodes: [u16; CORNERS],
     weights: [f32; CORNERS],
     mobilities: [f32; CORNERS],
-    /// Σ w²/m, 1/kg.
+    /// Σ w²/m, 1/kg; 0, where it is held.
     pub mobility: f32,
     /// The impulse of the substep before, N·s, axes of the world.
     pub impulse: Vector3<f32>,
     /// Whether the part has pressed on it in this step.
     pub pressed: bool,
-}
-
-/// A flat face in this step.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct Face {
-    /// Normal and tangents, axes of the world.
-    pub axes: [Vector3<f32>; 3],
-    /// How far it is from the lattice's origin along the normal, m.
-    offset: f32,
-}
-
-impl Face {
-    /// How far a point is beyond it, m.
-    #[inline]
-    pub(super) fn distance(&self, point: &Vector3<f32>) -> f32 {
-        self.axes[0].dot(point) - self.offset
-    }
+    /// How far it is from the part, at least, m: until that is used up, nothing has to be computed.
+    pub clear: f32,
 }
 
 impl Candidate {
@@ -71,7 +59,6 @@ impl Candidate {
             part: 0,
             friction: 0.0,
             area: 0.0,
-            face: None,
             count: 0,
             nodes: [0; CORNERS],
             weights: [0.0; CORNERS],
@@ -79,8 +66,9 @@ impl Candidate {
             mobility: 0.0,
             impulse: Vector3::zeros(),
             pressed: false,
+            clear: 0.0,
         };
-        let offsets = lattice.form.grid.corner_offsets();
+        let (offsets, mut free) = (lattice.form.grid.corner_offsets(), 0.0);
         for (weight, offset) in place.weights().into_iter().zip(offsets) {
             if weight.abs() > LEAST_WEIGHT {
                 let node = place.element as usize + offset;
@@ -91,29 +79,47 @@ impl Candidate {
                 candidate.mobilities[index] = mobility;
                 candidate.mobility += weight * mobility;
                 candidate.count += 1;
+                free += if mobility == 0.0 { 0.0 } else { weight };
             }
+        }
+        if free < LEAST_FREE {
+            candidate.mobility = 0.0;
+            candidate.mobilities = [0.0; CORNERS];
         }
         candidate
     }
 
+    /// Whether it is held where it is.
+    pub(super) fn is_held(&self) -> bool {
+        self.mobility == 0.0
+    }
+
     /// What the sample has of something that its nodes have.
-    #[inline]
-    pub(super) fn mean(&self, of: &[f32x4]) -> [f32; 3] {
+    #[inline(always)]
+    pub(super) fn mean(&self, of: &[f32x4]) -> f32x4 {
         let part =
             |corner: usize| of[self.nodes[corner] as usize] * f32x4::splat(self.weights[corner]);
-        let sum = if self.count as usize == CORNERS {
+        if self.count as usize == CORNERS {
             // In pairs: no sum waits for all others.
-            ((part(0) + part(1)) + (part(2) + part(3)))
-                + ((part(4) + part(5)) + (part(6) + part(7)))
-        } else {
-            (0..self.count as usize).map(part).fold(f32x4::ZERO, |sum, part| sum + part)
-        };
-        let [x, y, z, _] = sum.to_array();
-        [x, y, z]
+            return ((part(0) + part(1)) + (part(2) + part(3)))
+                + ((part(4) + part(5)) + (part(6) + part(7)));
+        }
+        let mut sum = f32x4::ZERO;
+        for corner in 0..self.count as usize {
+            sum += part(corner);
+        }
+        sum
+    }
+
+    /// The same of what is where, or moves.
+    #[inline(always)]
+    pub(super) fn mean_vector(&self, of: &[f32x4]) -> Vector3<f32> {
+        let [x, y, z, _] = self.mean(of).to_array();
+        Vector3::new(x, y, z)
     }
 
     /// Gives an impulse to its nodes: x, y and z.
-    #[inline]
+    #[inline(always)]
     pub(super) fn push(&self, impulse: f32x4, velocities: &mut [f32x4]) {
         let mut push = |corner: usize| {
             velocities[self.nodes[corner] as usize] +=
@@ -121,8 +127,10 @@ impl Candidate {
         };
         if self.count as usize == CORNERS {
             (0..CORNERS).for_each(push);
-        } else {
-            (0..self.count as usize).for_each(&mut push);
+            return;
+        }
+        for corner in 0..self.count as usize {
+            push(corner);
         }
     }
 }
@@ -152,6 +160,7 @@ impl Nodes {
     }
 
     fn clear(&mut self, nodes: usize) {
+        self.places.clear();
         if self.number_of.len() == nodes {
             for node in self.in_lattice.drain(..) {
                 self.number_of[node as usize] = NONE;
@@ -162,18 +171,27 @@ impl Nodes {
         }
     }
 
-    /// Takes over where they are and how they move.
-    pub(super) fn load(&mut self, lattice: &Lattice) {
+    /// Takes over where they are and how they move. Returns by how much the farthest has moved since that was done before, m.
+    pub(super) fn load(&mut self, lattice: &Lattice) -> f32 {
         let Self { in_lattice, places, velocities, .. } = self;
-        let of = |numbers: &[Vec<f32>; 3], node: u32| {
-            let [x, y, z] = numbers;
+        let of = |[x, y, z]: &[Vec<f32>; 3], node: u32| {
             let node = node as usize;
             f32x4::from([x[node], y[node], z[node], 0.0])
         };
-        places.clear();
-        places.extend(in_lattice.iter().map(|node| of(&lattice.x, *node)));
         velocities.clear();
         velocities.extend(in_lattice.iter().map(|node| of(&lattice.v, *node)));
+        if places.is_empty() {
+            places.extend(in_lattice.iter().map(|node| of(&lattice.x, *node)));
+            return f32::INFINITY;
+        }
+        let mut farthest = f32x4::ZERO;
+        for (place, node) in places.iter_mut().zip(in_lattice) {
+            let now = of(&lattice.x, *node);
+            farthest = farthest.fast_max((now - *place).abs());
+            *place = now;
+        }
+        let [x, y, z, _] = farthest.to_array();
+        (x * x + y * y + z * z).sqrt()
     }
 
     /// Hands back how they move.
@@ -190,7 +208,9 @@ impl Nodes {
 /// The candidates of a step, each kind in the order of keys.
 #[derive(Debug, Default)]
 pub(super) struct Candidates {
-    /// Beside what stands still in this step.
+    /// Beside flat faces of what stands still in this step.
+    pub resting: Vec<Resting>,
+    /// Beside edges and curved faces of it.
     pub fixed: Vec<Candidate>,
     /// Beside what moves.
     pub moving: Vec<Candidate>,
@@ -201,7 +221,7 @@ pub(super) struct Candidates {
 impl Candidates {
     /// Whether anything may be touched in this step.
     pub(super) fn are_none(&self) -> bool {
-        self.fixed.is_empty() && self.moving.is_empty()
+        self.resting.is_empty() && self.fixed.is_empty() && self.moving.is_empty()
     }
 
     /// Finds the samples that may touch a part before `reach` (m) is covered.
@@ -213,7 +233,8 @@ impl Candidates {
         proxies: &[Proxy],
         reach: f32,
     ) {
-        let Self { fixed, moving, nodes, boxes } = self;
+        let Self { resting, fixed, moving, nodes, boxes } = self;
+        resting.clear();
         fixed.clear();
         moving.clear();
         nodes.clear(lattice.form.mass.len());
@@ -227,21 +248,21 @@ impl Candidates {
             for (part_number, part) in proxy.parts.iter().enumerate() {
                 let key = u64::from(proxy.key()) << 32 | (part_number as u64) << 24;
                 let mut add = |index: usize, place: &MaterialPoint, area: f32| {
-                    let point = lattice.local(place).into();
-                    if let Some(gap) = part.gap(&point, reach) {
-                        let is_flat = proxy.is_static && part.is_flat_near(&point, 2.0 * reach);
-                        found.push(Candidate {
-                            face: is_flat.then(|| Face {
-                                axes: contact::axes(&gap.normal),
-                                offset: gap.normal.dot(&point) - gap.distance,
-                            }),
-                            key: key | index as u64,
-                            proxy: number as u16,
-                            part: part_number as u16,
-                            friction: friction as f32,
-                            area,
-                            ..Candidate::new(lattice, place, nodes)
-                        });
+                    let point = Vector3::from(lattice.local(place));
+                    let Some(gap) = part.gap(&point, reach) else { return };
+                    let is_flat = proxy.is_static && part.is_flat_near(&point, 2.0 * reach);
+                    let sample = Candidate {
+                        key: key | index as u64,
+                        proxy: number as u16,
+                        part: part_number as u16,
+                        friction: friction as f32,
+                        area,
+                        ..Candidate::new(lattice, place, nodes)
+                    };
+                    if is_flat {
+                        resting.push(Resting::new(sample, &point, &gap.normal, gap.distance));
+                    } else {
+                        found.push(sample);
                     }
                 };
                 let near = Region::around(part, reach);
@@ -305,12 +326,12 @@ struct Boxes {
 
 impl Boxes {
     fn load(&mut self, lattice: &Lattice) {
-        let strides = lattice.form.grid.strides();
+        let corners = lattice.form.grid.corner_offsets();
         let least = |one: f32, other: f32| if one < other { one } else { other };
         let most = |one: f32, other: f32| if one > other { one } else { other };
         for (axis, x) in lattice.x.iter().enumerate() {
-            spread(&mut self.min[axis], x, strides, least);
-            spread(&mut self.max[axis], x, strides, most);
+            spread(&mut self.min[axis], x, corners, least);
+            spread(&mut self.max[axis], x, corners, most);
         }
     }
 
@@ -326,17 +347,17 @@ impl Boxes {
 fn spread(
     numbers: &mut Vec<f32>,
     x: &[f32],
-    strides: [usize; 3],
+    corners: [usize; CORNERS],
     chosen: impl Fn(f32, f32) -> f32,
 ) {
+    let count = x.len() - corners[CORNERS - 1];
+    let corners = corners.map(|offset| &x[offset..offset + count]);
     numbers.clear();
-    numbers.extend_from_slice(x);
-    for stride in strides {
-        // Numbers further on are still those of the stride before.
-        for index in 0..numbers.len() - stride {
-            numbers[index] = chosen(numbers[index], numbers[index + stride]);
-        }
-    }
+    numbers.extend((0..count).map(|element| {
+        let [a, b, c, d, e, f, g, h] = corners.map(|x| x[element]);
+        let (low, high) = (chosen(chosen(a, b), chosen(c, d)), chosen(chosen(e, f), chosen(g, h)));
+        chosen(low, high)
+    }));
 }
 
 impl PartProxy {

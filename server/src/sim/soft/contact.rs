@@ -13,7 +13,10 @@
 //! sample's element and m their masses; M and I are mass and inertia of the rigid body, and r points from its centre to
 //! the sample. Contacts begin with the impulses of the substep before: without that friction creeps. Those with what moves
 //! are solved one after the other (projected Gauss–Seidel), up to [`SWEEPS`] times; those with what stands still once before,
-//! since they hardly act on each other.
+//! since they hardly act on each other. Most of these are [`resting`](super::resting) on a flat face.
+//!
+//! A sample that is held only stops a finger: it undoes no overlap, begins with no impulse, and is solved once. A finger
+//! between two of them can obey neither, and impulses would grow without end.
 
 use std::cell::Cell;
 
@@ -24,6 +27,7 @@ use super::candidates::{Candidate, Candidates};
 use super::lattice::Lattice;
 use super::material::Friction;
 use super::proxy::Proxy;
+use super::resting::Resting;
 use super::skin::Skin;
 
 /// How often all contacts with what moves are solved in a substep, at most.
@@ -33,7 +37,13 @@ const SWEEPS: usize = 8;
 const SETTLED: f32 = 0.003;
 
 /// Distance from which on contacts are looked at in a substep, m.
-const REACH: f32 = 0.3e-3;
+pub(super) const REACH: f32 = 0.3e-3;
+
+/// Distance from which on it is computed, m: below it is known, and what is as far is not looked at for a while.
+const LOOK: f32 = 2e-3;
+
+/// How many times as far as its nodes a sample moves, at most: those beyond the lattice have weights below 0.
+const SPREAD: f32 = 2.0;
 
 /// Part of an overlap that is undone in a substep.
 const UNDONE: f32 = 0.02;
@@ -106,15 +116,22 @@ impl Contacts {
         reach: f32,
     ) {
         self.work = WORK.take();
-        let candidates = &mut self.work.candidates;
+        let mut candidates = std::mem::take(&mut self.work.candidates);
         candidates.find(lattice, skin, friction, proxies, reach);
-        for kind in [&mut candidates.fixed, &mut candidates.moving] {
-            let mut warm = self.warm.iter().peekable();
-            for candidate in kind {
-                while warm.next_if(|each| each.key < candidate.key).is_some() {}
-                if let Some(before) = warm.next_if(|each| each.key == candidate.key) {
-                    candidate.impulse = before.impulse;
-                }
+        self.warm_up(candidates.resting.iter_mut().map(|each| &mut each.sample));
+        candidates.resting.iter_mut().for_each(Resting::begin);
+        self.warm_up(candidates.fixed.iter_mut());
+        self.warm_up(candidates.moving.iter_mut());
+        self.work.candidates = candidates;
+    }
+
+    /// Gives candidates, in the order of keys, the impulses of the step before.
+    fn warm_up<'a>(&self, candidates: impl Iterator<Item = &'a mut Candidate>) {
+        let mut warm = self.warm.iter().peekable();
+        for candidate in candidates {
+            while warm.next_if(|each| each.key < candidate.key).is_some() {}
+            if let Some(before) = warm.next_if(|each| each.key == candidate.key) {
+                candidate.impulse = before.impulse;
             }
         }
     }
@@ -122,9 +139,13 @@ impl Contacts {
     /// Ends a step of `seconds`: keeps what the next begins with, and tells moving bodies the pressure on them.
     pub(super) fn finish(&mut self, proxies: &mut [Proxy], seconds: f64) {
         self.warm.clear();
-        let Candidates { fixed, moving, .. } = &self.work.candidates;
+        let Candidates { resting, fixed, moving, nodes, .. } = &mut self.work.candidates;
+        for each in &mut *resting {
+            each.finish(&nodes.places, proxies);
+        }
         note_pressures(moving, proxies, seconds);
-        for Candidate { key, impulse, .. } in fixed.iter().chain(moving) {
+        let resting = resting.iter().map(|each| &each.sample);
+        for Candidate { key, impulse, .. } in resting.chain(&*fixed).chain(&*moving) {
             if *impulse != Vector3::zeros() {
                 self.warm.push(Warm { key: *key, impulse: *impulse });
             }
@@ -142,25 +163,32 @@ impl Contacts {
     /// Changes velocities of the body and of rigid ones by what contacts do in a substep.
     pub(super) fn solve(&mut self, lattice: &mut Lattice, proxies: &mut [Proxy], seconds: f32) {
         let Work { candidates, fixed, moving } = &mut self.work;
-        let Candidates { fixed: beside_fixed, moving: beside_moving, nodes, .. } = candidates;
-        nodes.load(lattice);
+        let Candidates { resting, fixed: beside_fixed, moving: beside_moving, nodes, .. } =
+            candidates;
+        let moved = nodes.load(lattice);
         let (places, velocities) = (&nodes.places, &mut nodes.velocities);
-        detect::<true>(beside_fixed, fixed, places, proxies, seconds);
-        detect::<false>(beside_moving, moving, places, proxies, seconds);
+        detect::<true>(beside_fixed, fixed, places, moved, proxies, seconds);
+        detect::<false>(beside_moving, moving, places, moved, proxies, seconds);
         let scale = if self.warm_seconds > 0.0 { seconds / self.warm_seconds } else { 1.0 };
         self.warm_seconds = seconds;
+        for each in &mut *resting {
+            each.start(scale, velocities);
+        }
         for contact in &mut *fixed {
             contact.start::<true>(beside_fixed, scale, velocities, proxies);
         }
         for contact in &mut *moving {
             contact.start::<false>(beside_moving, scale, velocities, proxies);
         }
+        for each in resting {
+            each.solve(places, velocities, seconds);
+        }
         for contact in &mut *fixed {
             contact.solve::<true>(beside_fixed, velocities, proxies);
         }
-        for _ in 0..SWEEPS {
+        for sweep in 0..SWEEPS {
             let (mut changes, mut impulses) = (f32x4::ZERO, f32x4::ZERO);
-            for contact in &mut *moving {
+            for contact in moving.iter_mut().filter(|contact| sweep == 0 || !contact.is_held) {
                 let change = contact.solve::<false>(beside_moving, velocities, proxies);
                 changes += change * change;
                 impulses += contact.impulse * contact.impulse;
@@ -192,14 +220,15 @@ impl Contacts {
 
     /// How deep samples are in rigid parts, m: that of the deepest.
     pub(super) fn deepest(&mut self, lattice: &Lattice, proxies: &[Proxy]) -> f64 {
-        let Candidates { fixed, moving, nodes, .. } = &mut self.work.candidates;
+        let Candidates { resting, fixed, moving, nodes, .. } = &mut self.work.candidates;
         nodes.load(lattice);
+        let depths_of_resting = resting.iter().map(|each| f64::from(-each.distance(&nodes.places)));
         let depths = fixed.iter().chain(moving.iter()).filter_map(|candidate| {
             let part = &proxies[candidate.proxy as usize].parts[candidate.part as usize];
-            let point = Vector3::from(candidate.mean(&nodes.places));
+            let point = candidate.mean_vector(&nodes.places);
             part.gap(&point, 0.0).map(|gap| f64::from(-gap.distance))
         });
-        depths.fold(0.0, f64::max)
+        depths.chain(depths_of_resting).fold(0.0, f64::max)
     }
 }
 
@@ -207,6 +236,8 @@ impl Contacts {
 #[derive(Debug, Clone)]
 struct Contact {
     candidate: u32,
+    /// Whether the sample is held, and beside a finger.
+    is_held: bool,
     /// Least velocity along the normal.
     least: f32,
     arm: Vector3<f32>,
@@ -223,7 +254,7 @@ struct Contact {
 
 /// Three numbers, and a fourth that is 0.
 #[inline]
-fn lanes(vector: &Vector3<f32>) -> f32x4 {
+pub(super) fn lanes(vector: &Vector3<f32>) -> f32x4 {
     f32x4::from([vector.x, vector.y, vector.z, 0.0])
 }
 
@@ -233,35 +264,45 @@ fn combined(columns: &[f32x4; 3], [a, b, c]: [f32; 3]) -> f32x4 {
     columns[0] * f32x4::splat(a) + columns[1] * f32x4::splat(b) + columns[2] * f32x4::splat(c)
 }
 
-/// Finds the contacts of this substep. `FIXED` says that what candidates are beside stands still.
+/// Least velocity along the normal of what is at a `distance` (m, below 0 inside) from a face, m/s.
+#[inline]
+pub(super) fn least_velocity(distance: f32, seconds: f32) -> f32 {
+    if distance > 0.0 {
+        -distance / seconds
+    } else {
+        (UNDONE * (-distance - SLOP).max(0.0) / seconds).min(RECOVERY)
+    }
+}
+
+/// Finds the contacts of this substep. `FIXED` says that what candidates are beside stands still; no node has moved by more
+/// than `moved` (m) since the substep before.
 fn detect<const FIXED: bool>(
     candidates: &mut [Candidate],
     contacts: &mut Vec<Contact>,
     places: &[f32x4],
+    moved: f32,
     proxies: &[Proxy],
     seconds: f32,
 ) {
     contacts.clear();
     for (number, candidate) in (0_u32..).zip(candidates) {
         let proxy = &proxies[candidate.proxy as usize];
+        candidate.clear -= SPREAD * moved + proxy.moved;
+        if candidate.clear > REACH {
+            continue;
+        }
         let part = &proxy.parts[candidate.part as usize];
-        let point = Vector3::from(candidate.mean(places));
-        let found = match &candidate.face {
-            Some(face) if FIXED => {
-                let distance = face.distance(&point);
-                (distance <= REACH).then_some((distance, face.axes))
-            }
-            _ => part.gap(&point, REACH).map(|gap| (gap.distance, axes(&gap.normal))),
-        };
-        let Some((distance, axes)) = found else {
+        let point = candidate.mean_vector(places);
+        let gap = part.gap(&point, LOOK);
+        candidate.clear = gap.map_or(LOOK, |gap| gap.distance);
+        let Some(gap) = gap.filter(|gap| gap.distance <= REACH) else {
             candidate.impulse = Vector3::zeros();
             continue;
         };
-        let least = if distance > 0.0 {
-            -distance / seconds
-        } else {
-            (UNDONE * (-distance - SLOP).max(0.0) / seconds).min(RECOVERY)
-        };
+        let axes = axes(&gap.normal);
+        let least = least_velocity(gap.distance, seconds);
+        let is_held = candidate.is_held() && proxy.hinge.is_some();
+        let least = if is_held { least.min(0.0) } else { least };
         let arm = point - proxy.centre;
         let mass = |mobility: f32| if mobility > LEAST_MOBILITY { 1.0 / mobility } else { 0.0 };
         let (mut masses, mut turns) = ([mass(candidate.mobility); 3], [f32x4::ZERO; 3]);
@@ -276,6 +317,7 @@ fn detect<const FIXED: bool>(
         let [normal, first, second] = &axes;
         contacts.push(Contact {
             candidate: number,
+            is_held,
             least,
             arm,
             axes: axes.each_ref().map(lanes),
@@ -295,16 +337,12 @@ fn report(candidates: &mut [Candidate], contacts: &[Contact], proxies: &mut [Pro
         let [normal, first, second, _] = contact.impulse.to_array();
         let [x, y, z, _] = combined(&contact.axes, [normal, first, second]).to_array();
         let impulse = Vector3::new(x, y, z);
-        candidate.impulse = impulse;
+        candidate.impulse = if contact.is_held { Vector3::zeros() } else { impulse };
         if normal == 0.0 {
             continue;
         }
         let proxy = &mut proxies[candidate.proxy as usize];
-        let (normal, place) = (f64::from(normal), contact.arm + proxy.centre);
-        proxy.load.impulse -= impulse.cast::<f64>();
-        proxy.load.angular -= contact.arm.cross(&impulse).cast::<f64>();
-        proxy.load.pressing += normal;
-        proxy.load.moment += place.cast::<f64>() * normal;
+        proxy.load.add(&impulse, &(contact.arm + proxy.centre), &proxy.centre, normal);
         candidate.pressed = true;
     }
 }
@@ -360,7 +398,7 @@ impl Contact {
         proxies: &mut [Proxy],
     ) -> f32x4 {
         let candidate = &candidates[self.candidate as usize];
-        let mut velocity = Vector3::from(candidate.mean(velocities));
+        let mut velocity = candidate.mean_vector(velocities);
         if !FIXED {
             let proxy = &proxies[candidate.proxy as usize];
             velocity -= proxy.velocity + proxy.rate.cross(&self.arm);

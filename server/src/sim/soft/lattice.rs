@@ -397,9 +397,15 @@ impl Lattice {
 
     /// The fastest node's speed, m/s.
     pub fn fastest(&self) -> f64 {
-        let [x, y, z] = &self.v;
-        let squares = x.iter().zip(y).zip(z).map(|((x, y), z)| x * x + y * y + z * z);
-        f64::from(squares.fold(0.0, f32::max)).sqrt()
+        let [x, y, z] = self.v.each_ref().map(|v| blocks(v));
+        let mut most = [0.0_f32; LANES];
+        for ((x, y), z) in x.iter().zip(y).zip(z) {
+            for lane in 0..LANES {
+                let square = x[lane] * x[lane] + y[lane] * y[lane] + z[lane] * z[lane];
+                most[lane] = if square > most[lane] { square } else { most[lane] };
+            }
+        }
+        f64::from(most.into_iter().fold(0.0, f32::max)).sqrt()
     }
 
     /// Whether positions and velocities are finite.
@@ -433,14 +439,19 @@ impl Lattice {
     }
 }
 
+/// Numbers of nodes, eight at a time. What is left over is padding.
+fn blocks(numbers: &[f32]) -> &[[f32; LANES]] {
+    numbers.as_chunks().0
+}
+
 /// The least and the greatest number of those that have a mass.
 fn extent(numbers: &[f32], masses: &[f32]) -> [f32; 2] {
     let (mut least, mut most) = ([f32::INFINITY; LANES], [f32::NEG_INFINITY; LANES]);
-    let blocks = numbers.chunks(LANES).zip(masses.chunks(LANES));
-    for (numbers, masses) in blocks {
-        for (lane, (number, mass)) in numbers.iter().zip(masses).enumerate() {
-            let low = if *mass > 0.0 { *number } else { f32::INFINITY };
-            let high = if *mass > 0.0 { *number } else { f32::NEG_INFINITY };
+    for (numbers, masses) in blocks(numbers).iter().zip(blocks(masses)) {
+        for lane in 0..LANES {
+            let (number, is_there) = (numbers[lane], masses[lane] > 0.0);
+            let low = if is_there { number } else { f32::INFINITY };
+            let high = if is_there { number } else { f32::NEG_INFINITY };
             least[lane] = if low < least[lane] { low } else { least[lane] };
             most[lane] = if high > most[lane] { high } else { most[lane] };
         }

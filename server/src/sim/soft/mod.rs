@@ -12,6 +12,7 @@
 //! | [`proxy`], [`shape`] | rigid bodies in the substeps of soft ones |
 //! | [`candidates`] | samples that may touch rigid bodies in a step |
 //! | [`contact`] | contacts with them: Coulomb friction, impulses both ways |
+//! | [`resting`] | those on flat faces of what stands still: the same, faster |
 //! | [`attachment`] | samples that are held to a rigid body without friction, for comparison |
 //! | [`body`] | a soft body in the world: what it has of all these, and sleep |
 //!
@@ -33,6 +34,7 @@ mod lanes;
 mod lattice;
 mod material;
 pub(in crate::sim) mod proxy;
+mod resting;
 mod shape;
 mod skin;
 #[cfg(test)]

@@ -38,6 +38,8 @@ pub(in crate::sim) struct Proxy {
     pub hinge: Option<HingeProxy>,
     /// Its forms, relative to the centre.
     pub parts: Vec<PartProxy>,
+    /// How far they have moved in the last substep, at most, m.
+    pub moved: f32,
     pub load: Load,
 }
 
@@ -95,6 +97,25 @@ pub(in crate::sim) struct Load {
     pub pressure: f64,
 }
 
+impl Load {
+    /// Adds an impulse (N·s) that acts on the soft body at `point`, `pressing` along the normal, beside a rigid one with this
+    /// `centre` (m).
+    #[inline]
+    pub(super) fn add(
+        &mut self,
+        impulse: &Vector3<f32>,
+        point: &Vector3<f32>,
+        centre: &Vector3<f32>,
+        pressing: f32,
+    ) {
+        let normal = f64::from(pressing);
+        self.impulse -= impulse.cast::<f64>();
+        self.angular -= (point - centre).cross(impulse).cast::<f64>();
+        self.pressing += normal;
+        self.moment += point.cast::<f64>() * normal;
+    }
+}
+
 impl PartProxy {
     /// The gap between a point and its surface, where that is less than `reach` (m); the normal has axes of the world.
     #[inline]
@@ -117,6 +138,15 @@ impl Proxy {
             part.at.origin = self.centre + self.rotation * part.centre_from_part;
             part.at.axes = (self.rotation * part.rotation).to_rotation_matrix().into_inner();
         }
+    }
+
+    /// How far its parts reach from its centre, at most, m.
+    fn radius(&self) -> f32 {
+        let reach = |part: &PartProxy| {
+            let [centre, half] = part.shape.bounds();
+            (part.centre_from_part + part.rotation * centre).norm() + half.norm()
+        };
+        self.parts.iter().map(reach).fold(0.0, f32::max)
     }
 
     /// The axis of its hinge now.
@@ -155,6 +185,7 @@ impl Proxy {
         if self.is_static {
             return;
         }
+        self.moved = (self.velocity.norm() + self.rate.norm() * self.radius()) * seconds;
         self.centre += self.velocity * seconds;
         // q' = q + ½ ω q Δt, with no function that a C library would decide.
         let turn = nalgebra::Quaternion::from_imag(self.rate * (0.5 * seconds));

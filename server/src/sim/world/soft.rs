@@ -465,6 +465,7 @@ impl World {
             gravity,
             hinge,
             parts: parts.map(part).collect(),
+            moved: 0.0,
             load: Load::default(),
         }
     }

@@ -367,3 +367,25 @@ fn a_pinched_sheet_creeps_less_than_a_tenth_of_a_millimetre_in_a_minute() {
     assert_eq!(jaws.fingers_on(&world, id), 2);
     assert!(creep < 0.1e-3 * f64::from(seconds) / 60.0, "{creep}");
 }
+
+#[test]
+fn a_finger_that_is_pushed_into_the_edge_that_is_held_is_stopped_and_stirs_nothing_up() {
+    let mut world = World::new(Solver::LIGHT);
+    let material = with_friction(material(5e3, 0.45, 920.0), 0.8);
+    let held = |point: &Point3<f64>| point.x < -9.9e-3;
+    let sheet = block([4, 4, 2], 5e-3, material, &Pose::identity(), held);
+    let id = world.insert_soft(sheet);
+    let start = down([-0.0112, 1.7e-3, 1e-3], JAW_CLOSED);
+    let mut jaws = Instrument::with_jaws(&mut world, start, 0.5, Jaws::TISSUE_FORCEPS);
+    carry_out([&mut jaws], &mut world, [start], 4);
+    let mut most = [0.0_f64; 2];
+    for step in 0..96 {
+        let side = if step < 24 { 1.7e-3 } else { 1.7e-3 + 1e-3 * f64::from(step / 8 % 2) };
+        let target = down([-0.0112 + 1e-4 * f64::from(step.min(20)), side, 1e-3], JAW_CLOSED);
+        carry_out([&mut jaws], &mut world, [target], 1);
+        let pressing = jaws.jaw_force(&world);
+        most = [most[0].max(world.soft(id).lattice().fastest()), most[1].max(pressing)];
+    }
+    println!("fastest {:.3} m/s, pressed with {:.1} N", most[0], most[1]);
+    assert!(most[0] < 1.0 && most[1] < 100.0, "{most:?}");
+}
