@@ -7,7 +7,6 @@
 use nalgebra::Vector3;
 use wide::f32x4;
 
-use super::contact;
 use super::lattice::{CORNERS, Lattice};
 use super::material::Friction;
 use super::proxy::{PartProxy, Proxy};
@@ -95,7 +94,7 @@ impl Candidate {
     }
 
     /// What the sample has of something that its nodes have.
-    #[inline(always)]
+    #[inline]
     pub(super) fn mean(&self, of: &[f32x4]) -> f32x4 {
         let part =
             |corner: usize| of[self.nodes[corner] as usize] * f32x4::splat(self.weights[corner]);
@@ -112,14 +111,14 @@ impl Candidate {
     }
 
     /// The same of what is where, or moves.
-    #[inline(always)]
+    #[inline]
     pub(super) fn mean_vector(&self, of: &[f32x4]) -> Vector3<f32> {
         let [x, y, z, _] = self.mean(of).to_array();
         Vector3::new(x, y, z)
     }
 
     /// Gives an impulse to its nodes: x, y and z.
-    #[inline(always)]
+    #[inline]
     pub(super) fn push(&self, impulse: f32x4, velocities: &mut [f32x4]) {
         let mut push = |corner: usize| {
             velocities[self.nodes[corner] as usize] +=
