@@ -245,23 +245,27 @@ impl SoftBody {
     /// Whether a sample of its skin is near one of these rigid bodies that moves.
     fn is_neared(&self, mut proxies: Vec<Proxy>) -> bool {
         proxies.retain(|proxy| !proxy.is_static);
-        proxies.iter_mut().for_each(Proxy::settle);
-        let mut contacts = Contacts::default();
-        let reach = WAKE_DISTANCE as f32;
-        contacts.begin(&self.lattice, &self.skin, &self.friction, &proxies, reach);
-        let is_neared = contacts.are_possible();
-        contacts.finish(&mut proxies, 1.0);
-        is_neared
+        self.beside(proxies, WAKE_DISTANCE as f32, |contacts, _| contacts.are_possible())
     }
 
     /// How deep samples of its skin are in these rigid bodies, m: the deepest.
-    pub(in crate::sim) fn deepest_overlap(&self, mut proxies: Vec<Proxy>) -> f64 {
+    pub(in crate::sim) fn deepest_overlap(&self, proxies: Vec<Proxy>) -> f64 {
+        self.beside(proxies, 0.0, |contacts, proxies| contacts.deepest(&self.lattice, proxies))
+    }
+
+    /// What `found` tells of the samples within `reach` (m) of these rigid bodies, where all are now.
+    fn beside<T>(
+        &self,
+        mut proxies: Vec<Proxy>,
+        reach: f32,
+        found: impl FnOnce(&mut Contacts, &[Proxy]) -> T,
+    ) -> T {
         proxies.iter_mut().for_each(Proxy::settle);
         let mut contacts = Contacts::default();
-        contacts.begin(&self.lattice, &self.skin, &self.friction, &proxies, 0.0);
-        let deepest = contacts.deepest(&self.lattice, &proxies);
+        contacts.begin(&self.lattice, &self.skin, &self.friction, &proxies, reach);
+        let told = found(&mut contacts, &proxies);
         contacts.finish(&mut proxies, 1.0);
-        deepest
+        told
     }
 }
 

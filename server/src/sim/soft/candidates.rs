@@ -1,8 +1,8 @@
 //! Samples of the skin that may touch a rigid part before a step of the world ends: found once a step.
 //!
 //! What moves meets all samples, [`Skin::fine`]. What stands still is mostly large and flat and meets the vertices,
-//! [`Skin::coarse`]; all samples, where it has an edge or is narrow. What is beside a flat
-//! face of it is [`resting`](super::resting).
+//! [`Skin::coarse`]; all samples, where it has an edge or is narrow. What is beside a flat face of it is
+//! [`resting`](super::resting).
 
 use nalgebra::Vector3;
 use wide::f32x4;
@@ -17,8 +17,8 @@ use super::skin::{MaterialPoint, Samples, Skin};
 /// Weight of a corner that counts: more than rounding.
 const LEAST_WEIGHT: f32 = 1e-4;
 
-/// Sum of the weights of free nodes below which a sample counts as held: they would have to move so many times as fast
-/// as what pushes it.
+/// Sum of the weights of free nodes below which a sample counts as held: they would have to move more than four times as
+/// fast as what pushes it.
 const LEAST_FREE: f32 = 0.25;
 
 /// Added to the number of a sample between those that meet a static body.
@@ -108,13 +108,6 @@ impl Candidate {
             sum += part(corner);
         }
         sum
-    }
-
-    /// The same of what is where, or moves.
-    #[inline]
-    pub(super) fn mean_vector(&self, of: &[f32x4]) -> Vector3<f32> {
-        let [x, y, z, _] = self.mean(of).to_array();
-        Vector3::new(x, y, z)
     }
 
     /// Gives an impulse to its nodes: x, y and z.

@@ -225,7 +225,7 @@ impl Contacts {
         let depths_of_resting = resting.iter().map(|each| f64::from(-each.distance(&nodes.places)));
         let depths = fixed.iter().chain(moving.iter()).filter_map(|candidate| {
             let part = &proxies[candidate.proxy as usize].parts[candidate.part as usize];
-            let point = candidate.mean_vector(&nodes.places);
+            let point = vector(candidate.mean(&nodes.places));
             part.gap(&point, 0.0).map(|gap| f64::from(-gap.distance))
         });
         depths.chain(depths_of_resting).fold(0.0, f64::max)
@@ -256,6 +256,13 @@ struct Contact {
 #[inline]
 pub(super) fn lanes(vector: &Vector3<f32>) -> f32x4 {
     f32x4::from([vector.x, vector.y, vector.z, 0.0])
+}
+
+/// The first three numbers.
+#[inline]
+pub(super) fn vector(lanes: f32x4) -> Vector3<f32> {
+    let [x, y, z, _] = lanes.to_array();
+    Vector3::new(x, y, z)
 }
 
 /// The sum of three columns, each so many times.
@@ -292,7 +299,7 @@ fn detect<const FIXED: bool>(
             continue;
         }
         let part = &proxy.parts[candidate.part as usize];
-        let point = candidate.mean_vector(places);
+        let point = vector(candidate.mean(places));
         let gap = part.gap(&point, LOOK);
         candidate.clear = gap.map_or(LOOK, |gap| gap.distance);
         let Some(gap) = gap.filter(|gap| gap.distance <= REACH) else {
@@ -335,8 +342,7 @@ fn report(candidates: &mut [Candidate], contacts: &[Contact], proxies: &mut [Pro
     for contact in contacts {
         let candidate = &mut candidates[contact.candidate as usize];
         let [normal, first, second, _] = contact.impulse.to_array();
-        let [x, y, z, _] = combined(&contact.axes, [normal, first, second]).to_array();
-        let impulse = Vector3::new(x, y, z);
+        let impulse = vector(combined(&contact.axes, [normal, first, second]));
         candidate.impulse = if contact.is_held { Vector3::zeros() } else { impulse };
         if normal == 0.0 {
             continue;
@@ -398,7 +404,7 @@ impl Contact {
         proxies: &mut [Proxy],
     ) -> f32x4 {
         let candidate = &candidates[self.candidate as usize];
-        let mut velocity = candidate.mean_vector(velocities);
+        let mut velocity = vector(candidate.mean(velocities));
         if !FIXED {
             let proxy = &proxies[candidate.proxy as usize];
             velocity -= proxy.velocity + proxy.rate.cross(&self.arm);
@@ -428,11 +434,9 @@ impl Contact {
         if !FIXED {
             let proxy = &mut proxies[candidate.proxy as usize];
             if proxy.inverse_mass > 0.0 {
-                let [x, y, z, _] = impulse.to_array();
-                proxy.velocity -= Vector3::new(x, y, z) * proxy.inverse_mass;
+                proxy.velocity -= vector(impulse) * proxy.inverse_mass;
             }
-            let [x, y, z, _] = combined(&self.turns, [normal, first, second]).to_array();
-            proxy.rate -= Vector3::new(x, y, z);
+            proxy.rate -= vector(combined(&self.turns, [normal, first, second]));
         }
     }
 }

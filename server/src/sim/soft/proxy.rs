@@ -38,6 +38,8 @@ pub(in crate::sim) struct Proxy {
     pub hinge: Option<HingeProxy>,
     /// Its forms, relative to the centre.
     pub parts: Vec<PartProxy>,
+    /// How far they reach from the centre, at most, m.
+    pub radius: f32,
     /// How far they have moved in the last substep, at most, m.
     pub moved: f32,
     pub load: Load,
@@ -117,6 +119,12 @@ impl Load {
 }
 
 impl PartProxy {
+    /// How far it reaches from the body's centre, at most, m.
+    pub(in crate::sim) fn radius(&self) -> f32 {
+        let [centre, half] = self.shape.bounds();
+        (self.centre_from_part + self.rotation * centre).norm() + half.norm()
+    }
+
     /// The gap between a point and its surface, where that is less than `reach` (m); the normal has axes of the world.
     #[inline]
     pub(super) fn gap(&self, point: &Vector3<f32>, reach: f32) -> Option<Gap> {
@@ -138,15 +146,6 @@ impl Proxy {
             part.at.origin = self.centre + self.rotation * part.centre_from_part;
             part.at.axes = (self.rotation * part.rotation).to_rotation_matrix().into_inner();
         }
-    }
-
-    /// How far its parts reach from its centre, at most, m.
-    fn radius(&self) -> f32 {
-        let reach = |part: &PartProxy| {
-            let [centre, half] = part.shape.bounds();
-            (part.centre_from_part + part.rotation * centre).norm() + half.norm()
-        };
-        self.parts.iter().map(reach).fold(0.0, f32::max)
     }
 
     /// The axis of its hinge now.
@@ -185,7 +184,7 @@ impl Proxy {
         if self.is_static {
             return;
         }
-        self.moved = (self.velocity.norm() + self.rate.norm() * self.radius()) * seconds;
+        self.moved = (self.velocity.norm() + self.rate.norm() * self.radius) * seconds;
         self.centre += self.velocity * seconds;
         // q' = q + ½ ω q Δt, with no function that a C library would decide.
         let turn = nalgebra::Quaternion::from_imag(self.rate * (0.5 * seconds));

@@ -7,7 +7,7 @@ use nalgebra::Vector3;
 use wide::f32x4;
 
 use super::candidates::Candidate;
-use super::contact::{self, lanes};
+use super::contact::{self, lanes, vector};
 use super::proxy::Proxy;
 
 /// A sample that may touch a flat face in this step.
@@ -93,10 +93,6 @@ impl Resting {
 
     /// Ends a step: keeps what the next begins with, and tells what has the face what was done to it.
     pub(super) fn finish(&mut self, places: &[f32x4], proxies: &mut [Proxy]) {
-        let vector = |lanes: f32x4| {
-            let [x, y, z, _] = lanes.to_array();
-            Vector3::new(x, y, z)
-        };
         self.sample.impulse = vector(self.impulse);
         if self.pressing == 0.0 {
             return;

@@ -452,6 +452,7 @@ impl World {
             shape: (&shape).into(),
             at: Frame::default(),
         };
+        let parts: Vec<_> = parts.map(part).collect();
         Proxy {
             handle,
             is_profiled: self.profiled.contains(&handle),
@@ -464,7 +465,8 @@ impl World {
             inverse_inertia,
             gravity,
             hinge,
-            parts: parts.map(part).collect(),
+            radius: parts.iter().map(PartProxy::radius).fold(0.0, f32::max),
+            parts,
             moved: 0.0,
             load: Load::default(),
         }
