@@ -3,6 +3,7 @@
 use super::action::moved;
 use super::orientation::PITCHED;
 use super::*;
+use crate::sim::instrument::JAW_OPEN;
 use crate::sim::motion::Motion;
 use crate::sim::world::Solver;
 use crate::tasks::tray::pad;
