@@ -35,17 +35,18 @@ use crate::sim::random::Rng;
 use crate::sim::soft::Damage;
 use crate::sim::world::World;
 use crate::tasks::expert::{ExpertInput, Sees};
-use crate::tasks::options::{self, Domain, SCALED_LENGTH, SCALED_LENGTHS_PER_METRE};
+use crate::tasks::options::{self, Domain};
 use crate::tasks::proprioception::Proprioception;
 use crate::tasks::start::Starts;
 use crate::tasks::time::Time;
-use crate::tasks::{State as Fields, Task, rate, relative};
+use crate::tasks::{Task, rate, relative};
 
 mod arrange;
 mod bounds;
 mod drive;
 mod imaging;
 mod live;
+mod observing;
 mod passing;
 mod rebuild;
 #[cfg(test)]
@@ -53,11 +54,12 @@ mod rebuild;
 mod tests;
 
 pub use bounds::Excess;
-use bounds::{Excesses, bound};
+use bounds::Excesses;
 pub use drive::Drive;
 pub use imaging::Pictures;
 pub(crate) use imaging::{Imaging, Shot};
 pub use live::LiveWorld;
+use observing::{Noise, Seen, Sight};
 use passing::Actuation;
 
 pub(crate) use rebuild::{Identity, Rebuild};
@@ -142,27 +144,6 @@ pub struct Env {
     excesses: Excesses,
 }
 
-/// What [`Env::step`] saw, so that [`Env::observe`] need not look again.
-#[derive(Debug, Clone, Default)]
-struct Seen {
-    observation: Vec<f32>,
-    achieved: Vec<f32>,
-    desired: Vec<f32>,
-    /// Whether this is the present state.
-    is_present: bool,
-}
-
-/// What an observation has of the task's state.
-#[derive(Debug, Clone)]
-struct Sight {
-    /// The state.
-    elements: Arc<[Element]>,
-    /// Whether the state itself is observed.
-    has_state: bool,
-    /// Whether relative features of it are.
-    has_features: bool,
-}
-
 /// From what episodes begin.
 #[derive(Clone)]
 enum Beginning {
@@ -180,25 +161,6 @@ enum State {
     Running,
     /// After an episode, or after a failure.
     Over,
-}
-
-/// The sensor noise of an episode.
-#[derive(Debug, Clone)]
-struct Noise {
-    /// As it is before the present state is looked at: that may be done again.
-    rng: Rng,
-    sigma: f64,
-}
-
-impl Noise {
-    /// Its size for a number in `unit`, in that unit.
-    fn sigma(&self, unit: &str) -> f64 {
-        match unit {
-            "m" => self.sigma,
-            SCALED_LENGTH => self.sigma * SCALED_LENGTHS_PER_METRE,
-            _ => 0.0,
-        }
-    }
 }
 
 impl Env {
@@ -509,19 +471,6 @@ impl Env {
         Step { reward, terminated, is_success, ..Step::default() }
     }
 
-    /// Writes the present observation and goals, of the specification's dimensions; zeros before
-    /// the first reset. After a failure of the simulation, what is not finite reads 0.
-    pub fn observe(&self, observation: &mut [f32], achieved: &mut [f32], desired: &mut [f32]) {
-        let seen = &self.seen;
-        if seen.is_present || !self.was_reset() {
-            observation.copy_from_slice(&seen.observation);
-            achieved.copy_from_slice(&seen.achieved);
-            desired.copy_from_slice(&seen.desired);
-        } else {
-            self.look(observation, achieved, desired);
-        }
-    }
-
     /// The present state as bytes, from which [`Self::import`] rebuilds it: here, in another process
     /// or on another machine.
     pub fn export(&self) -> Result<Vec<u8>, Rejection> {
@@ -590,67 +539,6 @@ impl Env {
     fn take_down(&mut self, action: &[f32]) {
         if self.taken.len() + action.len() <= RECORDED {
             self.taken.extend(action.iter().map(|number| number.clamp(-1.0, 1.0)));
-        }
-    }
-
-    /// Writes what is seen now: with this episode's noise on observed positions, within the bounds. A
-    /// number that is not finite is written as 0, so that one environment does not spoil a client's
-    /// statistics. Returns whether all of it was finite.
-    fn look(&self, observation: &mut [f32], achieved: &mut [f32], desired: &mut [f32]) -> bool {
-        let Sight { elements, has_state, has_features } = &self.sight;
-        let shown = if *has_state { elements.len() } else { 0 };
-        let (state, rest) = observation.split_at_mut(shown);
-        let (measured, features) = rest.split_at_mut(self.measured.len());
-        let mut hidden = vec![0.0; elements.len() - shown];
-        let state = if *has_state { state } else { &mut hidden };
-        self.task.state(&self.world, &mut Fields::read(state));
-        self.task.goals(&self.world, achieved, desired);
-        measured.copy_from_slice(&self.measured);
-        let own = &self.spec.observation[shown..];
-        let mut finite = self.bound_all("observation", measured, own);
-        if self.is_noisy() {
-            let mut rng = self.noise.rng.clone();
-            for (value, element) in state.iter_mut().zip(elements.iter()) {
-                self.check_bounds("observation", *value, element);
-                let sigma = self.noise.sigma(&element.unit);
-                if sigma > 0.0 {
-                    *value += (sigma * rng.normal()) as f32;
-                }
-                finite &= bound(value, element);
-            }
-        } else {
-            finite &= self.bound_all("observation", state, elements);
-        }
-        if let Some(goal) = &self.spec.goal {
-            finite &= self.bound_all("achieved", achieved, &goal.elements);
-            finite &= self.bound_all("desired", desired, &goal.elements);
-        }
-        if *has_features {
-            self.spec.relative.write(state, achieved, desired, features);
-        }
-        finite
-    }
-
-    /// Whether sensor noise can be seen: it is that of the state. What arms measure has their encoders' errors.
-    fn is_noisy(&self) -> bool {
-        self.noise.sigma > 0.0 && (self.sight.has_state || self.sight.has_features)
-    }
-
-    /// Lets the arms measure themselves, where observations show that.
-    fn measure(&mut self) {
-        if self.own.is_wanted() {
-            self.own.measure(self.task.as_mut(), &self.world, &mut self.measured);
-        }
-    }
-
-    /// Leaves the noise of the present state behind.
-    fn pass_noise(&mut self) {
-        if self.is_noisy() {
-            for element in self.sight.elements.iter() {
-                if self.noise.sigma(&element.unit) > 0.0 {
-                    self.noise.rng.normal();
-                }
-            }
         }
     }
 }

@@ -7,6 +7,7 @@ use trocar_proto::spec::{Element, OptionSpec};
 use super::*;
 use crate::registry::Registry;
 use crate::sim::world::Solver;
+use crate::tasks::State as Fields;
 use crate::tasks::expert::ExpertInput;
 use crate::tasks::{Registered, Task};
 
