@@ -19,8 +19,7 @@ use trocar_proto::dvrk::record::{
 };
 use trocar_proto::dvrk::recording::Beginning;
 use trocar_proto::dvrk::{
-    ArmInfo, Command, Event, LiveInfo, LiveRequest, PoseMessage, State, StateCommand,
-    TICKS_PER_SECOND,
+    ArmInfo, Command, LiveInfo, LiveRequest, PoseMessage, StateCommand, TICKS_PER_SECOND,
 };
 use trocar_proto::wire::{LiveReplyLayout, MAX_EVENTS};
 use trocar_proto::{Code, Rejection};
@@ -30,17 +29,15 @@ use super::real_time::RealTime;
 use super::store::Ledger;
 use crate::dvrk::{ArmController, Pose};
 use crate::env::{Env, LiveWorld};
-use crate::error::StepError;
 use crate::recording::live::LiveLog;
 use crate::registry::Registry;
-use crate::sim::motion::MAX_INSTRUMENTS;
 use crate::view::source::Motion;
 
-/// Events that are kept for sessions that have not fetched them yet.
-const MOST_EVENTS: usize = 4096;
+mod recording;
+mod state;
 
-/// In which portions the memory of a recording is counted, bytes.
-const RECORDED_AT_ONCE: u64 = 1 << 20;
+use state::{MOST_EVENTS, WorldState};
+pub(super) use state::{Passed, SavedWorld};
 
 /// A live world, and what its sessions have of it.
 pub(super) struct SharedWorld {
@@ -50,43 +47,6 @@ pub(super) struct SharedWorld {
     state: Mutex<WorldState>,
     /// Where the memory of its recording is counted.
     ledger: Arc<Ledger>,
-}
-
-/// A state of a world, to which it can be brought back.
-#[derive(Clone)]
-pub(super) struct SavedWorld {
-    world: LiveWorld,
-    log: LiveLog,
-}
-
-/// What changes.
-struct WorldState {
-    world: LiveWorld,
-    /// What led to it.
-    log: LiveLog,
-    /// Bytes of the ledger that are counted for that.
-    paid: u64,
-    /// Parts of the recording that a recorder has, where there is one.
-    fetched: Option<Vec<Arc<[u8]>>>,
-    /// Which session drives each arm.
-    drivers: ArrayVec<Option<Driver>, { MAX_INSTRUMENTS + 1 }>,
-    events: VecDeque<EventRecord>,
-    /// Events that were told since the world began.
-    told: u64,
-    ticks: u64,
-    real_time: Option<RealTime>,
-    /// Room for the observation and both goals.
-    seen: [Vec<f32>; 3],
-    /// Why no time passes any more, if that is so.
-    over: Option<Rejection>,
-}
-
-/// What a message let pass.
-#[derive(Debug, Clone, Copy, Default)]
-pub(super) struct Passed {
-    pub(super) ticks: u32,
-    /// An arm told something meanwhile.
-    pub(super) has_told: bool,
 }
 
 impl SharedWorld {
@@ -238,55 +198,6 @@ impl SharedWorld {
         match others.find(|(other, _)| **other != driver && !may(**other)) {
             Some((other, name)) => Err(other.refusal(name)),
             None => Ok(()),
-        }
-    }
-
-    /// Begins a recording, which has all that led to the present state.
-    pub(super) fn record(&self) {
-        let mut state = self.lock();
-        let WorldState { world, log, fetched, .. } = &mut *state;
-        log.close(world);
-        *fetched = Some(vec![]);
-        self.pay(&mut state);
-    }
-
-    /// The parts of the recording that were not fetched yet, of about `room` bytes.
-    pub(super) fn recorded(&self, room: usize) -> Result<Vec<u8>, Rejection> {
-        let mut state = self.lock();
-        let WorldState { world, log, fetched, .. } = &mut *state;
-        let Some(fetched) = fetched else {
-            let why = "it is not recorded; begin again";
-            return Err(Rejection::new(Code::UnknownSession, "recording", "none", why));
-        };
-        // Time that passes without commands is told with the next ones: else there would always be something new.
-        if log.has_commands() {
-            log.close(world);
-        }
-        let parts = log.parts()?;
-        let same = fetched.iter().zip(parts).take_while(|(one, other)| Arc::ptr_eq(one, other));
-        let same = same.count();
-        fetched.truncate(same);
-        let mut bytes = vec![];
-        for part in &parts[same..] {
-            if !bytes.is_empty() && bytes.len() + part.len() > room {
-                break;
-            }
-            bytes.extend_from_slice(part);
-            fetched.push(Arc::clone(part));
-        }
-        self.pay(&mut state);
-        Ok(bytes)
-    }
-
-    /// Has the memory of the recording counted, or gives it up.
-    fn pay(&self, state: &mut WorldState) {
-        let due = (state.log.bytes() as u64).saturating_sub(state.paid).div_ceil(RECORDED_AT_ONCE);
-        if due == 0 {
-            return;
-        }
-        match self.ledger.take(due as usize, RECORDED_AT_ONCE) {
-            Ok(()) => state.paid += due * RECORDED_AT_ONCE,
-            Err(_) => state.log.give_up(),
         }
     }
 
@@ -492,80 +403,6 @@ impl Drop for SharedWorld {
     }
 }
 
-impl WorldState {
-    fn tick(&mut self, most: u32, until_event: bool) -> Result<Passed, Rejection> {
-        let mut passed = Passed::default();
-        while passed.ticks < most && !(until_event && passed.has_told) {
-            if let Some(over) = &self.over {
-                return Err(over.clone());
-            }
-            if let Err(error) = self.world.tick() {
-                let (code, words) = match &error {
-                    StepError::InvalidAction(_) | StepError::ResetNeeded => (Code::ResetNeeded, ""),
-                    StepError::Simulation { .. } => (Code::Simulation, "; open another world"),
-                };
-                let allowed = format!("{error}{words}");
-                let over = Rejection::new(code, "world", format!("tick {}", self.ticks), allowed);
-                self.over = Some(over.clone());
-                return Err(over);
-            }
-            self.log.tick(&self.world);
-            self.ticks += 1;
-            passed.ticks += 1;
-            passed.has_told |= self.listen();
-        }
-        Ok(passed)
-    }
-
-    /// Goes on from another state, in its own time.
-    fn go_on_from(&mut self, SavedWorld { mut world, log }: SavedWorld) {
-        world.resume_after(&self.world);
-        (self.world, self.log, self.over) = (world, log, None);
-        self.listen();
-    }
-
-    /// Frees the arms of some drivers, which then hold.
-    fn free(&mut self, is_one: impl Fn(Driver) -> bool) {
-        for place in 0..self.drivers.len() {
-            if self.drivers[place].is_none_or(|driver| !is_one(driver)) {
-                continue;
-            }
-            self.drivers[place] = None;
-            let is = self.world.arms().nth(place).map(ArmController::operating_state);
-            if is.is_some_and(|is| is.state == State::Enabled && is.is_homed) {
-                let hold = CommandRecord::new(place as u32, &Command::Hold);
-                self.give(place, &Command::Hold, &hold.expect("it has no numbers"));
-            }
-        }
-        self.listen();
-    }
-
-    /// Gives an arm a command.
-    fn give(&mut self, place: usize, command: &Command, record: &CommandRecord) {
-        self.log.give(record, &self.world);
-        if let Some(arm) = self.world.arms_mut().nth(place) {
-            arm.command(command);
-        }
-    }
-
-    /// Takes down what the arms have told; whether that is anything.
-    fn listen(&mut self) -> bool {
-        let before = self.told;
-        for (place, arm) in self.world.arms_mut().enumerate() {
-            for event in arm.take_events() {
-                if self.events.len() == MOST_EVENTS {
-                    self.events.pop_front();
-                }
-                let (stamp, report) = (event.stamp.nanoseconds(), event.what.report());
-                let event = Event { arm: place as u32, stamp, report };
-                self.events.push_back(EventRecord::new(&event));
-                self.told += 1;
-            }
-        }
-        self.told > before
-    }
-}
-
 /// The world of a request at the beginning of a seed's first episode.
 fn begun(mut env: Env, request: &SessionRequest, seed: u64) -> Result<SavedWorld, Rejection> {
     let homing = request.live.unwrap_or_default().homing;
@@ -590,38 +427,5 @@ fn arm_info(world: &LiveWorld, arm: &ArmController) -> ArmInfo {
         raw_joints: names(mechanism.raw_names()),
         has_jaw: mechanism.axes() > mechanism.joints(),
         world_from_base: crate::dvrk::numbers_of(base),
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use trocar_proto::part;
-
-    use super::*;
-
-    #[test]
-    fn a_recording_for_which_there_is_no_memory_is_given_up_and_the_world_goes_on() {
-        let ledger = Arc::new(Ledger::new(RECORDED_AT_ONCE));
-        let request = SessionRequest::new("NeedleReach-v0");
-        let new = || {
-            let (registry, live) = (Registry::builtin(), LiveRequest::default());
-            SharedWorld::new(&registry, &ledger, &request, live).unwrap()
-        };
-        let (one, two) = (new(), new());
-        let enable = CommandRecord::new(0, &Command::State(StateCommand::Enable)).unwrap();
-        let driver = Driver::Session { session: 1, pid: 1, is_supervised: false };
-        for (world, is_recorded) in [(&one, true), (&two, false)] {
-            world.record();
-            world.command(driver, &[enable]).unwrap();
-            assert_eq!(world.advance(300, false).unwrap().ticks, 300);
-            // The beginning and the first second.
-            let parts = world.recorded(1 << 16).map(|bytes| part::split(&bytes).unwrap().len());
-            assert_eq!(parts.ok(), is_recorded.then_some(2));
-        }
-        let refusal = two.recorded(1 << 16).unwrap_err();
-        assert_eq!((refusal.code, refusal.field.as_str()), (Code::MemoryBudget, "recording"));
-        assert_eq!(ledger.snapshots(), RECORDED_AT_ONCE);
-        drop(one);
-        assert_eq!(ledger.snapshots(), 0);
     }
 }
