@@ -95,8 +95,11 @@ def homed(psm: Arm) -> Arm:
     if psm.state is None or psm.state.state != "ENABLED":
         assert psm.enable(10)
     assert psm.home(10)
+    psm.told["goal_reached"].clear()
     assert psm.move_jp([0.0, 0.0, 0.12, 0.0, 0.0, 0.0]).wait()
     assert psm.jaw(0.0).wait()
+    # Topics have no order among each other: what is told of a move may come after its state.
+    assert psm.ros.until(lambda: len(psm.told["goal_reached"]) >= 2, 5.0)
     psm.told["goal_reached"].clear()
     psm.told["warning"].clear()
     psm.told["error"].clear()
