@@ -211,7 +211,7 @@ test-mujoco: develop .venv-mujoco/ready ## * the twin in another engine against 
 
 # In a network of its own, where nothing else is found and nothing gets out.
 .PHONY: test-ros2
-test-ros2: ## * `trocar dvrk` against rclpy over ROS 2; needs Python 3.11, C++, unshare, ip; 400 MB of packages
+test-ros2: develop ## * `trocar dvrk` against rclpy over ROS 2; needs Python 3.11, C++, unshare, ip; 400 MB of packages
 	PYTHON=$(PYTHON) TARGET=$(TARGET) CARGO="$(CARGO)" RUST="$(RUST)" tests/ros2/run
 
 .PHONY: test-rl
@@ -262,7 +262,7 @@ fuzz-corpus: ## the same, and keeps in tests/fuzz/corpus the fewest inputs that 
 soak: develop ## * the long bars: 1,000,000 fuzzed messages, long multi-process loops, every failing call; needs strace
 	TROCAR_SOAK=1 TROCAR_BINARY=$(TARGET)/debug/trocar $(CARGO) test $(RUST) -- --nocapture
 	TROCAR_SOAK=1 $(MAKE) test-faults
-	TROCAR_SOAK=1 TIMEOUT=900 $(MAKE) test-ros2
+	TROCAR_SOAK=1 TIMEOUT=1800 $(MAKE) test-ros2
 
 .PHONY: bench
 bench: develop ## * all steps per second (trocar bench); criterion: kinematics, steps, snapshots, a round trip

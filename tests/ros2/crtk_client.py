@@ -148,12 +148,12 @@ class Arm:
         ]
         read = STATES | (JAW_STATES if jaw else {}) | (MORE_STATES if everything else {})
         for topic, kind in read.items():
-            self._listen(topic, kind)
+            self.listen(topic, kind)
         for topic, kind in {"goal_reached": Bool, "warning": String, "error": String}.items():
             self._subscriptions.append(
                 node.create_subscription(kind, f"{name}/{topic}", self._tell(topic), VOLATILE)
             )
-        self._listen("trajectory_j/ratio", Float64, LATCHED)
+        self.listen("trajectory_j/ratio", Float64, LATCHED)
         commands = COMMANDS | (JAW_COMMANDS if jaw else {})
         self.publishers = {
             topic: node.create_publisher(
@@ -177,7 +177,9 @@ class Arm:
 
         return told
 
-    def _listen(self, topic: str, kind: Any, qos: QoSProfile = VOLATILE) -> None:
+    def listen(self, topic: str, kind: Any, qos: QoSProfile = VOLATILE) -> None:
+        """Keeps the latest message of a topic."""
+
         def heard(message: Any) -> None:
             for listener in self.listeners.get(topic, []):
                 listener(message)

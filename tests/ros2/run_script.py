@@ -1,7 +1,8 @@
 """Runs a script for a dVRK over ROS 2: ``python run_script.py SCRIPT args…``, on $ROS_DOMAIN_ID.
 
-A lab has ``crtk``, ``dvrk`` and ``PyKDL``, of which no wheels exist. Here, the client of these
-tests has their names, as far as the examples of ``client-py/examples/dvrk`` use them.
+``-m MODULE`` in place of the script runs a module. A lab has ``crtk``, ``dvrk`` and ``PyKDL``, of
+which no wheels exist. Here, the client of these tests has their names, as far as the policy runner
+and the examples of ``client-py/examples/dvrk`` use them.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
-from crtk_client import VOLATILE, Arm, Handle, Ros
+from crtk_client import VOLATILE, Arm, Handle, Ros, seconds
 from geometry_msgs.msg import Pose, PoseStamped
 from std_msgs.msg import Float64
 
@@ -70,6 +71,13 @@ class Ral:
             self.opened.append(self.ros)
 
     parse_argv = staticmethod(list)
+    to_sec = staticmethod(float)
+
+    def now(self) -> float:
+        return time.time()
+
+    def spin(self) -> None:
+        """Callbacks run from the beginning on."""
 
     def create_child(self, name: str) -> Ral:
         return Ral(name, self.root)
@@ -165,16 +173,64 @@ class Psm:
         self._arm.pose("servo_cp", pose_of(setpoint))
 
 
+class Local:
+    """The poses of an arm in the frame of its remote centre."""
+
+    def __init__(self, arm: Arm) -> None:
+        self._arm = arm
+        arm.listen("local/measured_cp", PoseStamped)
+
+    def measured_cp(self) -> tuple[Any, float]:
+        message = self._arm.read("local/measured_cp")
+        return frame_of(message), seconds(message.header)
+
+
+class Ecm:
+    """An endoscope camera manipulator."""
+
+    def __init__(self, ral: Ral, name: str) -> None:
+        self._arm = Arm(ral.root.ros, name, jaw=False)
+        ral.root.arms.append(self._arm)
+        self.local = Local(self._arm)
+        self.enable, self.home = self._arm.enable, self._arm.home
+        self.servo_jp = self._arm.servo_jp
+
+    def is_enabled(self) -> bool:
+        return self._arm.state is not None and self._arm.state.state == "ENABLED"
+
+    def is_homed(self) -> bool:
+        return self._arm.state is not None and bool(self._arm.state.is_homed)
+
+    def hold(self) -> None:
+        self._arm.send("hold")
+
+    def _joints(self, topic: str) -> tuple[Any, Any, Any, float]:
+        message = self._arm.read(topic)
+        parts = (message.position, message.velocity, message.effort)
+        position, velocity, effort = map(np.array, parts)
+        return position, velocity, effort, seconds(message.header)
+
+    def measured_js(self) -> tuple[Any, Any, Any, float]:
+        return self._joints("measured_js")
+
+    def setpoint_js(self) -> tuple[Any, Any, Any, float]:
+        return self._joints("setpoint_js")
+
+
 def main() -> None:
     """Puts the names in place, and runs the script."""
     crtk: Any = types.ModuleType("crtk")
     crtk.ral, crtk.utils = Ral, Utils
     dvrk: Any = types.ModuleType("dvrk")
-    dvrk.psm = Psm
+    dvrk.psm, dvrk.ecm = Psm, Ecm
     sys.modules.update({"crtk": crtk, "dvrk": dvrk, "PyKDL": kdl})
     del sys.argv[0]
     try:
-        runpy.run_path(sys.argv[0], run_name="__main__")
+        if sys.argv[0] == "-m":
+            del sys.argv[0]
+            runpy.run_module(sys.argv[0], run_name="__main__", alter_sys=True)
+        else:
+            runpy.run_path(sys.argv[0], run_name="__main__")
     finally:
         for ros in Ral.opened:
             ros.close()

@@ -6,7 +6,7 @@ use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 use anyhow::{Context as _, bail};
-use png::{BitDepth, ColorType, Compression, Encoder};
+use png::{BitDepth, ColorType, Compression, Encoder, Filter};
 use ros2_client::Publisher;
 use trocar_client::proto::spec::{ImageSpec, STEREO_BASELINE};
 use trocar_client::{Client, LiveWorld, OptionValue, Options, SessionRequest};
@@ -117,6 +117,8 @@ fn packed(rgb: &[u8], width: u32, height: u32) -> anyhow::Result<Vec<u8>> {
     encoder.set_color(ColorType::Rgb);
     encoder.set_depth(BitDepth::Eight);
     encoder.set_compression(Compression::Fast);
+    // One that scripts without a library for pictures can undo at once.
+    encoder.set_filter(Filter::Up);
     encoder.write_header()?.write_image_data(rgb)?;
     Ok(data)
 }

@@ -18,6 +18,7 @@ import numpy as np
 from trocar.dvrk.__main__ import speed
 from trocar.dvrk.deploy import policy as policies
 from trocar.dvrk.deploy import robot as robots
+from trocar.dvrk.deploy.board import Board
 from trocar.dvrk.deploy.geometry import Pose
 from trocar.dvrk.deploy.limits import Limits
 from trocar.dvrk.deploy.observation import Layout
@@ -93,6 +94,13 @@ def parser() -> argparse.ArgumentParser:
         default=[],
         metavar="NAME=R,G,B",
         help="the colour of target, or of an object, 0 to 255 (those of Trocar's pictures)",
+    )
+    parser.add_argument(
+        "--board",
+        type=Path,
+        metavar="FILE",
+        help="AprilTags that tell where the camera of --poses pictures is, as "
+        "python -m trocar.dvrk.deploy.board writes them",
     )
     parser.add_argument("--goal", type=numbers, metavar="X,Y,Z", help="the goal (a simulator's)")
     parser.add_argument("--episodes", type=int, default=1, help="how many (%(default)s)")
@@ -221,7 +229,8 @@ def made(given: argparse.Namespace, told: Any) -> Runner:
             call = policies.function(given.pictures, "--pictures") if given.pictures else None
             goal = robot.goal if given.goal is None else lambda: np.array(given.goal)
             found = COLOURS | colours(given.colour)
-            source = Pictures(call or robot.pictures, layout, found, goal)
+            board = Board.read(given.board) if given.board else None
+            source = Pictures(call or robot.pictures, layout, found, goal, board=board)
         else:
             call = policies.function(given.poses, "--poses")
             source = Function(call, task, layout, given.goal)

@@ -69,6 +69,15 @@ class Lens:
         middle = 0.5 * (left + right) * self.tangent * depth
         return np.array([-middle[0], -middle[1], depth])
 
+    def turned(self, point: Numbers, before: Pose, after: Pose) -> Numbers:
+        """An image point of something far away, after the camera has turned.
+
+        What is nearer also moves by what the camera has moved sideways, which is left out.
+        """
+        ray = np.array([-point[0] * self.tangent, -point[1] * self.tangent, 1.0])
+        left, up, forward = after.rotation.T @ (before.rotation @ ray)
+        return np.asarray(np.array([-left, -up]) / (forward * self.tangent))
+
 
 def find(picture: Picture, colour: Colour) -> Numbers | None:
     """The image point of the largest region of a colour: the mean of its pixels; or ``None``."""

@@ -2,18 +2,23 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import Any, Protocol
 
 import numpy as np
 
-from trocar.dvrk.deploy.geometry import Numbers, Pose
+from trocar.dvrk.deploy.board import Board
+from trocar.dvrk.deploy.geometry import Numbers, Pose, between
 from trocar.dvrk.deploy.limits import Stopped
 from trocar.dvrk.deploy.observation import Layout, Reading
 from trocar.dvrk.deploy.pictures import Colour, Lens, find, locate
 from trocar.dvrk.deploy.task import Task
 from trocar.errors import InvalidOption, refuse
+
+HISTORY = 64
+"""How many places of the endoscope are kept: one of each step."""
 
 
 class Source(Protocol):
@@ -94,14 +99,20 @@ class Pictures:
     An object's pose has its position alone: it is taken to lie as its frame does, not turned. What
     is not seen keeps its latest stamp, so that the watchdog tells.
 
+    Pictures are late: those of a real endoscope by a tenth of a second. The target's image point is
+    where it is now, as far as the endoscope has turned since: stamps of pictures and of arms must
+    be of one clock.
+
     Args:
         call: Takes pictures: of the left lens and of the right one, each uint8 (H, W, 3); their
             stamp (s); and the camera between the lenses, in the scene. Where only ``target`` is
-            needed, the second and the last may be ``None``.
+            needed, the second and the last may be ``None``; with a board, the last. A target must
+            be seen by both lenses.
         layout: What is needed.
         colours: Of ``target`` and of objects.
         goal: Where the goal is from.
         lens: The endoscope.
+        board: Tags that tell where the camera is, whatever ``call`` says.
 
     Raises:
         trocar.errors.InvalidOption: Something that is needed has no colour.
@@ -109,11 +120,12 @@ class Pictures:
 
     def __init__(
         self,
-        call: Callable[[], tuple[Any, Any, float, Pose]],
+        call: Callable[[], tuple[Any, Any, float, Pose | None]],
         layout: Layout,
         colours: Mapping[str, Colour],
         goal: Callable[[], Numbers | None],
         lens: Lens | None = None,
+        board: Board | None = None,
     ) -> None:
         needed = [*layout.objects, *(["target"] if layout.needs_image else [])]
         for name in needed:
@@ -121,24 +133,52 @@ class Pictures:
                 allowed = f"expected the colour of {name}: --colour {name}=R,G,B"
                 raise refuse(InvalidOption, "--colour", sorted(colours), allowed)
         self._call, self._layout, self._colours = call, layout, dict(colours)
-        self._lens, self._goal = lens or Lens(), goal
+        self._lens, self._goal, self._board = lens or Lens(), goal, board
         self._latest: dict[str, tuple[Pose, float]] = {}
+        self._cameras: deque[tuple[float, Pose]] = deque(maxlen=HISTORY)
 
     def read(self, reading: Reading) -> None:
         """Takes pictures and looks at them."""
         left, right, stamp, camera = self._call()
         if self._layout.needs_image:
-            reading.image = find(left, self._colours["target"])
+            seen = [
+                find(each, self._colours["target"]) for each in (left, right) if each is not None
+            ]
+            # Image points of a task are those of a camera between the lenses.
+            points = [point for point in seen if point is not None]
+            point = np.mean(points, axis=0) if len(points) == len(seen) else None
+            reading.image = self._now(point, stamp, reading)
             reading.stamps["target image"] = stamp
+        if self._board is not None and self._layout.objects:
+            camera = self._board.camera(left, right, self._lens)
         for name in self._layout.objects:
-            place = locate(left, right, self._colours[name], self._lens, camera)
+            place = None
+            if camera is not None:
+                place = locate(left, right, self._colours[name], self._lens, camera)
             if place is not None:
                 self._latest[name] = (Pose(np.eye(3), place), stamp)
             if name not in self._latest:
-                raise Stopped(f"{name} is missing: its colour is not in both pictures")
+                what = "its colour is" if camera else "three tags of the board are"
+                raise Stopped(f"{name} is missing: {what} not in both pictures")
             pose, reading.stamps[f"{name} in pictures"] = self._latest[name]
             reading.objects[name] = pose
         reading.goal = self._goal()
+
+    def _now(self, point: Numbers | None, stamp: float, reading: Reading) -> Numbers | None:
+        """An image point of the picture of a stamp, as the endoscope stands now."""
+        told = [at for topic, at in reading.stamps.items() if "local/measured_cp" in topic]
+        if not told:
+            return point
+        now = told[0]
+        if self._cameras and now <= self._cameras[-1][0]:
+            self._cameras.clear()
+        self._cameras.append((now, reading.camera))
+        later = [index for index, (at, _) in enumerate(self._cameras) if at > stamp]
+        if point is None or not later or later[0] == 0:
+            return point
+        (start, first), (end, second) = (self._cameras[later[0] + step] for step in (-1, 0))
+        then = between(first, second, (stamp - start) / (end - start))
+        return self._lens.turned(point, then, reading.camera)
 
 
 def checked_goal(goal: Numbers | None, task: Task) -> Numbers | None:
