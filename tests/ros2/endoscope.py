@@ -20,6 +20,9 @@ from sensor_msgs.msg import CompressedImage
 PATIENCE = 10.0
 """How long the first pair may take, s."""
 
+KEPT = 16
+"""How many pictures of a lens wait for the other's."""
+
 
 def unpacked(png: bytes) -> Any:
     """A PNG file of 8-bit RGB, as uint8 (H, W, 3)."""
@@ -44,7 +47,7 @@ class Endoscope:
     def __init__(self) -> None:
         self._ros = Ros(int(os.environ["ROS_DOMAIN_ID"]), "eyes")
         atexit.register(self._ros.close)
-        self._halves: dict[str, Any] = {}
+        self._halves: dict[str, dict[float, bytes]] = {"left": {}, "right": {}}
         self._pair: tuple[bytes, bytes, float] | None = None
         self._subscriptions = [
             self._ros.node.create_subscription(
@@ -57,12 +60,18 @@ class Endoscope:
         ]
 
     def _keep(self, side: str, message: Any) -> None:
+        """Where a script is slow, each topic drops other pictures: pairs are found by stamps."""
         with self._ros.changed:
-            self._halves[side] = message
-            left, right = (self._halves.get(side) for side in ("left", "right"))
-            if left and right and left.header.stamp == right.header.stamp:
-                self._pair = (bytes(left.data), bytes(right.data), seconds(left.header))
+            self._halves[side][seconds(message.header)] = bytes(message.data)
+            left, right = (self._halves[side] for side in ("left", "right"))
+            pairs = left.keys() & right.keys()
+            if pairs:
+                stamp = max(pairs)
+                self._pair = (left[stamp], right[stamp], stamp)
                 self._ros.changed.notify_all()
+            for half in (left, right):
+                for old in sorted(half)[:-KEPT]:
+                    del half[old]
 
     def pictures(self) -> tuple[Any, Any, float, None]:
         """Of both lenses, and their stamp."""

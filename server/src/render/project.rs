@@ -314,10 +314,27 @@ fn whole_numbers(numbers: [f32; 3], count: usize) -> Option<[u16; 2]> {
     let [a, b, c] = numbers;
     let (low, high) = (a.min(b).min(c), a.max(b).max(c));
     let most = (count - 1) as f32;
+    if high < 0.0 || low > most {
+        return None;
+    }
     let (low, high) = (low.max(0.0), high.min(most));
-    // Both are in range here, or else low > high; `as` rounds towards 0.
+    // Both are in range here; `as` rounds towards 0.
     let start = low as u16;
     let start = start + u16::from(f32::from(start) < low);
     let end = high as u16;
-    (high >= 0.0 && low <= most && start <= end).then_some([start, end])
+    (start <= end).then_some([start, end])
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn faces_far_outside_of_the_picture_cover_nothing() {
+        assert_eq!(whole_numbers([0.5, 1.5, 2.5], 4), Some([1, 2]));
+        assert_eq!(whole_numbers([-1e9, 1e9, 0.0], 4), Some([0, 3]));
+        for outside in [[1e9, 2e9, 3e9], [-3e9, -2e9, -0.5], [3.5, 4.0, 5.0], [0.2, 0.4, 0.6]] {
+            assert_eq!(whole_numbers(outside, 4), None, "{outside:?}");
+        }
+    }
 }
