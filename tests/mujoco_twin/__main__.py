@@ -26,6 +26,9 @@ ROWS: dict[str, dict[str, Any]] = {
     "friction 0.3": {"friction": 0.3},
     "friction 0.5": {"friction": 0.5},
     "arm errors": {"errors": True},
+    "all, friction 0.3": {"errors": True, "pose_error": 1e-3, "friction": 0.3},
+    "all, friction 0.5": {"errors": True, "pose_error": 1e-3, "friction": 0.5},
+    "all, friction 1": {"errors": True, "pose_error": 1e-3, "friction": 1.0},
 }
 """What differs from row to row: arguments of :class:`TwinRobot`."""
 

@@ -21,13 +21,10 @@ const STILL: f64 = 1e-3;
 const LEAST_STEP: f64 = 1e-8;
 
 /// Time after which a body that hardly moves falls asleep, s.
-const SLEEP_AFTER: f64 = 0.1;
-
-/// Distance at which what moves wakes a body that sleeps, m.
-const WAKE_DISTANCE: f64 = 2e-3;
+const SLEEP_AFTER: f64 = 0.05;
 
 /// Distance at which bodies are looked at in a step, m, beyond what the body itself covers: from 0.3 mm on there are
-/// contacts, and instruments cover 0.4.
+/// contacts, and instruments cover 0.4. What moves wakes a body that sleeps from there on, too.
 const REACH: f64 = 0.7e-3;
 
 /// A soft body.
@@ -245,7 +242,7 @@ impl SoftBody {
     /// Whether a sample of its skin is near one of these rigid bodies that moves.
     fn is_neared(&self, mut proxies: Vec<Proxy>) -> bool {
         proxies.retain(|proxy| !proxy.is_static);
-        self.beside(proxies, WAKE_DISTANCE as f32, |contacts, _| contacts.are_possible())
+        self.beside(proxies, REACH as f32, |contacts, _| contacts.are_possible())
     }
 
     /// How deep samples of its skin are in these rigid bodies, m: the deepest.
@@ -315,7 +312,7 @@ impl NonRigid for SoftBody {
     fn advance(&mut self, world: &mut World, seconds: f64) {
         let bounds = self.bounds();
         if self.asleep.is_some() {
-            let region = bounds.grown(WAKE_DISTANCE);
+            let region = bounds.grown(REACH);
             if !world.stirs_in(&region) {
                 return;
             }

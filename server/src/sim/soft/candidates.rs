@@ -335,21 +335,23 @@ impl Boxes {
     }
 }
 
-/// Makes each of `numbers` the `chosen` one of those of `x` at the corners of its element.
+/// Makes each of `numbers` the `chosen` one of those of `x` at the corners of its element: along one axis of the lattice
+/// after the other.
 fn spread(
     numbers: &mut Vec<f32>,
     x: &[f32],
     corners: [usize; CORNERS],
     chosen: impl Fn(f32, f32) -> f32,
 ) {
-    let count = x.len() - corners[CORNERS - 1];
-    let corners = corners.map(|offset| &x[offset..offset + count]);
     numbers.clear();
-    numbers.extend((0..count).map(|element| {
-        let [a, b, c, d, e, f, g, h] = corners.map(|x| x[element]);
-        let (low, high) = (chosen(chosen(a, b), chosen(c, d)), chosen(chosen(e, f), chosen(g, h)));
-        chosen(low, high)
-    }));
+    numbers.extend_from_slice(x);
+    for offset in [corners[1], corners[2], corners[4]] {
+        let count = numbers.len() - offset;
+        for element in 0..count {
+            numbers[element] = chosen(numbers[element], numbers[element + offset]);
+        }
+        numbers.truncate(count);
+    }
 }
 
 impl PartProxy {
