@@ -19,7 +19,7 @@ from trocar.dvrk.__main__ import speed
 from trocar.dvrk.deploy import policy as policies
 from trocar.dvrk.deploy import robot as robots
 from trocar.dvrk.deploy.board import Board
-from trocar.dvrk.deploy.geometry import Pose
+from trocar.dvrk.deploy.geometry import Pose, numbers
 from trocar.dvrk.deploy.limits import Limits
 from trocar.dvrk.deploy.observation import Layout
 from trocar.dvrk.deploy.paired import difference, played
@@ -29,11 +29,6 @@ from trocar.dvrk.deploy.runner import Episode, Runner
 from trocar.dvrk.deploy.sources import Function, Pictures, Source, Topics
 from trocar.dvrk.deploy.task import Task
 from trocar.errors import InvalidOption, LaunchError, TrocarError, refuse
-
-
-def numbers(text: str) -> tuple[float, ...]:
-    """Numbers between commas."""
-    return tuple(float(part) for part in text.split(","))
 
 
 def parser() -> argparse.ArgumentParser:

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from trocar.dvrk.deploy.geometry import Numbers, Pose, between
+from trocar.dvrk.deploy.geometry import Numbers, Pose, between, numbers
 from trocar.dvrk.deploy.pictures import Lens, Picture
 from trocar.errors import InvalidOption, LaunchError, TrocarError, Unsupported, refuse
 
@@ -80,25 +80,30 @@ class Board:
         """
         try:
             told = json.loads(path.read_text())
-            if told["family"] != FAMILY:
-                raise refuse(InvalidOption, "board family", told["family"], f"allowed is {FAMILY}")
-            tags = {}
-            for tag in told["tags"]:
-                numbers = np.array(tag["pose"], np.float64)
-                size = float(tag["size"])
-                if numbers.shape != (7,) or not np.linalg.norm(numbers[3:]) > 0.5 or not size > 0.0:
-                    allowed = "a size above 0 m and a pose of 7 numbers were expected"
-                    raise refuse(InvalidOption, f"board tag {tag['id']}", tag, allowed)
-                tags[int(tag["id"])] = Tag(size, Pose.of_numbers(numbers.tolist()))
+            family = str(told["family"])
+            tags = {
+                int(tag["id"]): (float(tag["size"]), np.array(tag["pose"], np.float64))
+                for tag in told["tags"]
+            }
         except (OSError, ValueError, KeyError, TypeError) as error:
-            if isinstance(error, TrocarError):
-                raise
             allowed = 'a file {"family": "36h11", "tags": [{"id": 0, "size": m, "pose": [7]}, …]}'
             raise refuse(InvalidOption, "--board", f"{path} ({error})", allowed) from error
+        if family != FAMILY:
+            raise refuse(InvalidOption, "board family", family, f"allowed is {FAMILY}")
+        for number, (size, pose) in tags.items():
+            is_pose = pose.shape == (7,) and np.isfinite(pose).all() and any(pose[3:])
+            if not (is_pose and 0.0 < size < np.inf):
+                allowed = "a size above 0 m and a pose of 7 finite numbers were expected"
+                raise refuse(InvalidOption, f"board tag {number}", (size, pose.tolist()), allowed)
         if len(tags) < LEAST_TAGS:
             allowed = f"at least {LEAST_TAGS} tags were expected"
             raise refuse(InvalidOption, "--board", f"{path} ({len(tags)} tags)", allowed)
-        return cls(tags)
+        return cls(
+            {
+                number: Tag(size, Pose.of_numbers(pose.tolist()))
+                for number, (size, pose) in tags.items()
+            }
+        )
 
     def camera(self, left: Picture, right: Picture, lens: Lens) -> Pose | None:
         """The camera between the lenses, in the scene; ``None`` where a lens misses the tags."""
@@ -109,8 +114,8 @@ class Board:
 
     def lens(self, picture: Picture, lens: Lens) -> Pose | None:
         """Where the lens of a picture is in the scene; ``None`` where it sees too few tags."""
-        corners, numbers, _ = self._detector.detectMarkers(picture)
-        seen = [] if numbers is None else numbers.ravel().tolist()
+        corners, found, _ = self._detector.detectMarkers(picture)
+        seen = [] if found is None else found.ravel().tolist()
         pairs = [pair for pair in zip(seen, corners, strict=True) if pair[0] in self.tags]
         if len(pairs) < LEAST_TAGS:
             return None
@@ -122,10 +127,10 @@ class Board:
         matrix = np.array(
             [[focal, 0.0, 0.5 * width - 0.5], [0.0, focal, 0.5 * height - 0.5], [0.0, 0.0, 1.0]]
         )
-        found, turn, step = self._cv.solvePnP(
+        is_solved, turn, step = self._cv.solvePnP(
             scene, image, matrix, None, flags=self._cv.SOLVEPNP_SQPNP
         )
-        if not found:
+        if not is_solved:
             return None
         turn, step = self._cv.solvePnPRefineLM(scene, image, matrix, None, turn, step)
         cv_from_scene = Pose(self._cv.Rodrigues(turn)[0], step.ravel())
@@ -175,9 +180,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         prog="python -m trocar.dvrk.deploy.board",
         description="A sheet of four AprilTags to print, and where they are in the scene.",
     )
-    floats = lambda text: tuple(float(part) for part in text.split(","))  # noqa: E731
-    parser.add_argument("--at", type=floats, required=True, help="its middle in the scene: x,y,z m")
-    parser.add_argument("--apart", type=floats, default=(0.12, 0.1), help="x,y m (%(default)s)")
+    parser.add_argument(
+        "--at", type=numbers, required=True, help="its middle in the scene: x,y,z m"
+    )
+    parser.add_argument("--apart", type=numbers, default=(0.12, 0.1), help="x,y m (%(default)s)")
     parser.add_argument("--size", type=float, default=0.018, help="of a tag, m (%(default)s)")
     parser.add_argument("--out", type=Path, required=True, help="the files' name")
     given = parser.parse_args(arguments)

@@ -70,6 +70,11 @@ class Pose:
         return Pose(rotation_matrix(turn) @ self.rotation, self.position + step)
 
 
+def numbers(text: str) -> tuple[float, ...]:
+    """Numbers between commas."""
+    return tuple(float(part) for part in text.split(","))
+
+
 def rotation_matrix(turn: Numbers) -> Numbers:
     """The rotation matrix of a rotation vector, rad (Rodrigues' formula)."""
     angle = float(np.linalg.norm(turn))
