@@ -157,7 +157,7 @@ def sheet(at: Numbers, apart: tuple[float, float], size: float) -> dict[str, Any
 def drawn(tags: Mapping[int, Tag], dots: float = DOTS) -> Picture:
     """A sheet with tags that lie flat and unturned, seen from above: uint8 (H, W), y upwards.
 
-    White is around each tag: as much as one of its ten cells.
+    White is around each tag: as much as two of the eight cells of its side.
     """
     cv = _opencv()
     corners = np.concatenate([tag.corners() for tag in tags.values()])[:, :2]
