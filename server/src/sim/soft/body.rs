@@ -21,11 +21,15 @@ const STILL: f64 = 1e-3;
 const LEAST_STEP: f64 = 1e-8;
 
 /// Time after which a body that hardly moves falls asleep, s.
-const SLEEP_AFTER: f64 = 0.05;
+const SLEEP_AFTER: f64 = 0.02;
 
 /// Distance at which bodies are looked at in a step, m, beyond what the body itself covers: from 0.3 mm on there are
-/// contacts, and instruments cover 0.4. What moves wakes a body that sleeps from there on, too.
+/// contacts, and instruments cover 0.4.
 const REACH: f64 = 0.7e-3;
+
+/// Distance at which what moves wakes a body that sleeps, m, beyond what it covers in this step: a finger that begins to
+/// turn covers less.
+const WAKE: f32 = 0.1e-3;
 
 /// A soft body.
 #[derive(Clone)]
@@ -239,10 +243,14 @@ impl SoftBody {
         }
     }
 
-    /// Whether a sample of its skin is near one of these rigid bodies that moves.
-    fn is_neared(&self, mut proxies: Vec<Proxy>) -> bool {
+    /// Whether one of these rigid bodies that moves may touch a sample of its skin within `seconds`.
+    fn is_neared(&self, mut proxies: Vec<Proxy>, seconds: f64) -> bool {
         proxies.retain(|proxy| !proxy.is_static);
-        self.beside(proxies, REACH as f32, |contacts, _| contacts.are_possible())
+        let seconds = seconds as f32;
+        let covered = proxies.iter().map(|proxy| proxy.reach(seconds)).fold(0.0, f32::max);
+        self.beside(proxies, WAKE + covered, |contacts, proxies| {
+            contacts.are_approached(&self.lattice, proxies, seconds, WAKE)
+        })
     }
 
     /// How deep samples of its skin are in these rigid bodies, m: the deepest.
@@ -317,10 +325,11 @@ impl NonRigid for SoftBody {
                 return;
             }
             let (proxies, _) = world.proxies_in(&region, &self.lattice.origin, None);
-            if !self.is_neared(proxies) {
+            if !self.is_neared(proxies, seconds) {
                 return;
             }
-            self.wake();
+            // It falls asleep again at once, unless it is touched.
+            self.asleep = None;
         }
         let region = bounds.grown(REACH + self.lattice.fastest() * seconds);
         let (mut proxies, motors) =

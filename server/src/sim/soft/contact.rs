@@ -24,10 +24,11 @@ use nalgebra::Vector3;
 use wide::f32x4;
 
 use super::candidates::{Candidate, Candidates};
+use super::lanes::with_widest_instructions;
 use super::lattice::Lattice;
 use super::material::Friction;
 use super::proxy::Proxy;
-use super::resting::Resting;
+use super::resting::{self, Resting};
 use super::skin::Skin;
 
 /// How often all contacts with what moves are solved in a substep, at most.
@@ -162,46 +163,13 @@ impl Contacts {
 
     /// Changes velocities of the body and of rigid ones by what contacts do in a substep.
     pub(super) fn solve(&mut self, lattice: &mut Lattice, proxies: &mut [Proxy], seconds: f32) {
-        let Work { candidates, fixed, moving } = &mut self.work;
-        let Candidates { resting, fixed: beside_fixed, moving: beside_moving, nodes, .. } =
-            candidates;
-        let moved = nodes.load(lattice);
-        let (places, velocities) = (&nodes.places, &mut nodes.velocities);
-        detect::<true>(beside_fixed, fixed, places, moved, proxies, seconds);
-        detect::<false>(beside_moving, moving, places, moved, proxies, seconds);
-        let scale = if self.warm_seconds > 0.0 { seconds / self.warm_seconds } else { 1.0 };
-        self.warm_seconds = seconds;
-        for each in &mut *resting {
-            each.start(scale, velocities);
-        }
-        for contact in &mut *fixed {
-            contact.start::<true>(beside_fixed, scale, velocities, proxies);
-        }
-        for contact in &mut *moving {
-            contact.start::<false>(beside_moving, scale, velocities, proxies);
-        }
-        for each in resting {
-            each.solve(places, velocities, seconds);
-        }
-        for contact in &mut *fixed {
-            contact.solve::<true>(beside_fixed, velocities, proxies);
-        }
-        for sweep in 0..SWEEPS {
-            let (mut changes, mut impulses) = (f32x4::ZERO, f32x4::ZERO);
-            for contact in moving.iter_mut().filter(|contact| sweep == 0 || !contact.is_held) {
-                let change = contact.solve::<false>(beside_moving, velocities, proxies);
-                changes += change * change;
-                impulses += contact.impulse * contact.impulse;
-            }
-            // In an order that no processor decides.
-            let sum = |squares: f32x4| squares.to_array().iter().sum::<f32>();
-            if sum(changes) < SETTLED * SETTLED * sum(impulses) {
-                break;
-            }
-        }
-        nodes.store(lattice);
-        report(beside_fixed, fixed, proxies);
-        report(beside_moving, moving, proxies);
+        let contacts = self;
+        with_widest_instructions!(solve(
+            contacts: &mut Contacts,
+            lattice: &mut Lattice,
+            proxies: &mut [Proxy],
+            seconds: f32
+        ));
     }
 
     /// The impulses that are kept, as bits.
@@ -218,6 +186,27 @@ impl Contacts {
         (self.warm.capacity() * size_of::<Warm>()) as u64
     }
 
+    /// Whether a part comes as near as `reach` (m) to a sample within `seconds` in which no node moves.
+    pub(super) fn are_approached(
+        &mut self,
+        lattice: &Lattice,
+        proxies: &[Proxy],
+        seconds: f32,
+        reach: f32,
+    ) -> bool {
+        let Candidates { fixed, moving, nodes, .. } = &mut self.work.candidates;
+        nodes.load(lattice);
+        fixed.iter().chain(moving.iter()).any(|candidate| {
+            let proxy = &proxies[candidate.proxy as usize];
+            let point = vector(candidate.corners.mean(&nodes.places));
+            let gap = proxy.parts[candidate.part as usize].gap(&point, f32::INFINITY);
+            gap.is_some_and(|gap| {
+                let approach = proxy.velocity_at(&(point - proxy.centre)).dot(&gap.normal);
+                gap.distance - approach.max(0.0) * seconds < reach
+            })
+        })
+    }
+
     /// How deep samples are in rigid parts, m: that of the deepest.
     pub(super) fn deepest(&mut self, lattice: &Lattice, proxies: &[Proxy]) -> f64 {
         let Candidates { resting, fixed, moving, nodes, .. } = &mut self.work.candidates;
@@ -225,11 +214,54 @@ impl Contacts {
         let depths_of_resting = resting.iter().map(|each| f64::from(-each.distance(&nodes.places)));
         let depths = fixed.iter().chain(moving.iter()).filter_map(|candidate| {
             let part = &proxies[candidate.proxy as usize].parts[candidate.part as usize];
-            let point = vector(candidate.mean(&nodes.places));
+            let point = vector(candidate.corners.mean(&nodes.places));
             part.gap(&point, 0.0).map(|gap| f64::from(-gap.distance))
         });
         depths.chain(depths_of_resting).fold(0.0, f64::max)
     }
+}
+
+#[inline(always)]
+fn solve(contacts: &mut Contacts, lattice: &mut Lattice, proxies: &mut [Proxy], seconds: f32) {
+    let Work { candidates, fixed, moving } = &mut contacts.work;
+    let Candidates { resting, fixed: beside_fixed, moving: beside_moving, nodes, .. } = candidates;
+    let moved = nodes.load(lattice);
+    let (places, velocities) = (&nodes.places, &mut nodes.velocities);
+    detect::<true>(beside_fixed, fixed, places, moved, proxies, seconds);
+    detect::<false>(beside_moving, moving, places, moved, proxies, seconds);
+    let scale = if contacts.warm_seconds > 0.0 { seconds / contacts.warm_seconds } else { 1.0 };
+    contacts.warm_seconds = seconds;
+    for index in resting::order(resting.len()) {
+        resting[index].start(scale, velocities);
+    }
+    for contact in &mut *fixed {
+        contact.start::<true>(beside_fixed, scale, velocities, proxies);
+    }
+    for contact in &mut *moving {
+        contact.start::<false>(beside_moving, scale, velocities, proxies);
+    }
+    for index in resting::order(resting.len()) {
+        resting[index].solve(places, velocities, seconds);
+    }
+    for contact in &mut *fixed {
+        contact.solve::<true>(beside_fixed, velocities, proxies);
+    }
+    for sweep in 0..SWEEPS {
+        let (mut changes, mut impulses) = (f32x4::ZERO, f32x4::ZERO);
+        for contact in moving.iter_mut().filter(|contact| sweep == 0 || !contact.is_held) {
+            let change = contact.solve::<false>(beside_moving, velocities, proxies);
+            changes += change * change;
+            impulses += contact.impulse * contact.impulse;
+        }
+        // In an order that no processor decides.
+        let sum = |squares: f32x4| squares.to_array().iter().sum::<f32>();
+        if sum(changes) < SETTLED * SETTLED * sum(impulses) {
+            break;
+        }
+    }
+    nodes.store(lattice);
+    report(beside_fixed, fixed, proxies);
+    report(beside_moving, moving, proxies);
 }
 
 /// A contact of this substep.
@@ -253,26 +285,26 @@ struct Contact {
 }
 
 /// Three numbers, and a fourth that is 0.
-#[inline]
+#[inline(always)]
 pub(super) fn lanes(vector: &Vector3<f32>) -> f32x4 {
     f32x4::from([vector.x, vector.y, vector.z, 0.0])
 }
 
 /// The first three numbers.
-#[inline]
+#[inline(always)]
 pub(super) fn vector(lanes: f32x4) -> Vector3<f32> {
     let [x, y, z, _] = lanes.to_array();
     Vector3::new(x, y, z)
 }
 
 /// The sum of three columns, each so many times.
-#[inline]
+#[inline(always)]
 fn combined(columns: &[f32x4; 3], [a, b, c]: [f32; 3]) -> f32x4 {
     columns[0] * f32x4::splat(a) + columns[1] * f32x4::splat(b) + columns[2] * f32x4::splat(c)
 }
 
 /// Least velocity along the normal of what is at a `distance` (m, below 0 inside) from a face, m/s.
-#[inline]
+#[inline(always)]
 pub(super) fn least_velocity(distance: f32, seconds: f32) -> f32 {
     if distance > 0.0 {
         -distance / seconds
@@ -283,6 +315,7 @@ pub(super) fn least_velocity(distance: f32, seconds: f32) -> f32 {
 
 /// Finds the contacts of this substep. `FIXED` says that what candidates are beside stands still; no node has moved by more
 /// than `moved` (m) since the substep before.
+#[inline(always)]
 fn detect<const FIXED: bool>(
     candidates: &mut [Candidate],
     contacts: &mut Vec<Contact>,
@@ -299,7 +332,7 @@ fn detect<const FIXED: bool>(
             continue;
         }
         let part = &proxy.parts[candidate.part as usize];
-        let point = vector(candidate.mean(places));
+        let point = vector(candidate.corners.mean(places));
         let gap = part.gap(&point, LOOK);
         candidate.clear = gap.map_or(LOOK, |gap| gap.distance);
         let Some(gap) = gap.filter(|gap| gap.distance <= REACH) else {
@@ -308,16 +341,16 @@ fn detect<const FIXED: bool>(
         };
         let axes = axes(&gap.normal);
         let least = least_velocity(gap.distance, seconds);
-        let is_held = candidate.is_held() && proxy.hinge.is_some();
+        let is_held = candidate.corners.is_held() && proxy.hinge.is_some();
         let least = if is_held { least.min(0.0) } else { least };
         let arm = point - proxy.centre;
         let mass = |mobility: f32| if mobility > LEAST_MOBILITY { 1.0 / mobility } else { 0.0 };
-        let (mut masses, mut turns) = ([mass(candidate.mobility); 3], [f32x4::ZERO; 3]);
+        let (mut masses, mut turns) = ([mass(candidate.corners.mobility); 3], [f32x4::ZERO; 3]);
         if !FIXED {
             for (axis, (own, turn)) in axes.iter().zip(masses.iter_mut().zip(&mut turns)) {
                 let moment = arm.cross(axis);
                 let turned = proxy.inverse_inertia * moment;
-                *own = mass(candidate.mobility + proxy.inverse_mass + moment.dot(&turned));
+                *own = mass(candidate.corners.mobility + proxy.inverse_mass + moment.dot(&turned));
                 *turn = lanes(&turned);
             }
         }
@@ -338,6 +371,7 @@ fn detect<const FIXED: bool>(
 }
 
 /// Takes note of what was done to rigid bodies, and keeps it for the next substep.
+#[inline(always)]
 fn report(candidates: &mut [Candidate], contacts: &[Contact], proxies: &mut [Proxy]) {
     for contact in contacts {
         let candidate = &mut candidates[contact.candidate as usize];
@@ -368,7 +402,7 @@ fn note_pressures(candidates: &[Candidate], proxies: &mut [Proxy], seconds: f64)
 
 impl Contact {
     /// Impulses along normal and tangents as contact and friction can bear them.
-    #[inline]
+    #[inline(always)]
     fn borne(friction: f32, wanted: f32x4) -> f32x4 {
         let [normal, first, second, _] = wanted.to_array();
         let normal = normal.max(0.0);
@@ -379,7 +413,7 @@ impl Contact {
     }
 
     /// Begins with the impulse of the substep before, as a force.
-    #[inline]
+    #[inline(always)]
     fn start<const FIXED: bool>(
         &mut self,
         candidates: &[Candidate],
@@ -396,7 +430,7 @@ impl Contact {
         self.apply::<FIXED>(candidate, self.impulse, velocities, proxies);
     }
 
-    #[inline]
+    #[inline(always)]
     fn solve<const FIXED: bool>(
         &mut self,
         candidates: &[Candidate],
@@ -404,10 +438,10 @@ impl Contact {
         proxies: &mut [Proxy],
     ) -> f32x4 {
         let candidate = &candidates[self.candidate as usize];
-        let mut velocity = vector(candidate.mean(velocities));
+        let mut velocity = vector(candidate.corners.mean(velocities));
         if !FIXED {
             let proxy = &proxies[candidate.proxy as usize];
-            velocity -= proxy.velocity + proxy.rate.cross(&self.arm);
+            velocity -= proxy.velocity_at(&self.arm);
         }
         let least = f32x4::from([self.least, 0.0, 0.0, 0.0]);
         let missing = least - combined(&self.rows, velocity.into());
@@ -420,7 +454,7 @@ impl Contact {
         change
     }
 
-    #[inline]
+    #[inline(always)]
     fn apply<const FIXED: bool>(
         &self,
         candidate: &Candidate,
@@ -430,7 +464,7 @@ impl Contact {
     ) {
         let [normal, first, second, _] = along.to_array();
         let impulse = combined(&self.axes, [normal, first, second]);
-        candidate.push(impulse, velocities);
+        candidate.corners.push(impulse, velocities);
         if !FIXED {
             let proxy = &mut proxies[candidate.proxy as usize];
             if proxy.inverse_mass > 0.0 {
@@ -442,7 +476,7 @@ impl Contact {
 }
 
 /// A normal and two tangents.
-#[inline]
+#[inline(always)]
 pub(super) fn axes(normal: &Vector3<f32>) -> [Vector3<f32>; 3] {
     let seed = if normal.x.abs() < 0.6 { Vector3::x() } else { Vector3::y() };
     let tangent = normal.cross(&seed);

@@ -23,6 +23,7 @@ pub(super) fn kept(rate: f64, seconds: f32) -> f32 {
 }
 
 /// Scales velocities relative to those of a rigid body, or of the world, by `keep`.
+#[inline(always)]
 pub(super) fn damp(
     form: &Form,
     x: &[Vec<f32>; 3],

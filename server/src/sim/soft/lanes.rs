@@ -130,6 +130,27 @@ macro_rules! with_widest_registers {
 }
 pub(super) use with_widest_registers;
 
+/// Calls a function with the instructions that come with the widest registers of the processor. What it calls has them where
+/// it is inlined.
+macro_rules! with_widest_instructions {
+    ($function:ident($($name:ident: $type:ty),*)) => {{
+        #[cfg(target_arch = "x86_64")]
+        {
+            #[target_feature(enable = "avx2")]
+            fn wide($($name: $type),*) {
+                $function($($name),*);
+            }
+            if std::arch::is_x86_feature_detected!("avx2") {
+                // SAFETY: the processor has what the function was compiled for.
+                #[allow(unsafe_code)]
+                return unsafe { wide($($name),*) };
+            }
+        }
+        $function($($name),*);
+    }};
+}
+pub(super) use with_widest_instructions;
+
 #[cfg(target_arch = "x86_64")]
 pub(super) use avx2::Avx2;
 

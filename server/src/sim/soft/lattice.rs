@@ -12,7 +12,7 @@ use std::sync::Arc;
 use nalgebra::{Point3, Vector3};
 
 use super::damping::Rigid;
-use super::lanes::LANES;
+use super::lanes::{LANES, with_widest_instructions};
 use super::material::{MOST_NODES, Material, MaterialError};
 use super::{damping, elasticity};
 use crate::sim::frames::{Aabb, Pose};
@@ -358,29 +358,24 @@ impl Lattice {
 
     /// Changes velocities by what these forces and damping do in `seconds`.
     pub fn kick(&mut self, seconds: f32) {
-        let keep = damping::kept(self.form.material.damping, seconds);
-        damping::damp(&self.form, &self.x, &mut self.v, self.workspace.rigid.as_ref(), keep);
-        for (velocities, forces) in self.v.iter_mut().zip(&self.workspace.forces) {
-            let nodes = velocities.iter_mut().zip(forces).zip(&self.form.inverse_mass);
-            for ((velocity, force), inverse_mass) in nodes {
-                *velocity += *force * inverse_mass * seconds;
-            }
-        }
+        let lattice = self;
+        with_widest_instructions!(kick(lattice: &mut Lattice, seconds: f32));
     }
 
     /// Moves nodes by their velocities, after it has made those slower that are above [`FASTEST`].
     pub fn drift(&mut self, seconds: f32) {
+        let lattice = self;
+        with_widest_instructions!(drift(lattice: &mut Lattice, seconds: f32));
+    }
+
+    /// Lets no node be faster than [`FASTEST`].
+    fn slow_down(&mut self) {
         let [x, y, z] = &mut self.v;
         for ((x, y), z) in x.iter_mut().zip(y).zip(z) {
             let square = *x * *x + *y * *y + *z * *z;
             if square > FASTEST * FASTEST {
                 let part = FASTEST / square.sqrt();
                 (*x, *y, *z) = (part * *x, part * *y, part * *z);
-            }
-        }
-        for (positions, velocities) in self.x.iter_mut().zip(&self.v) {
-            for (position, velocity) in positions.iter_mut().zip(velocities) {
-                *position += velocity * seconds;
             }
         }
     }
@@ -396,6 +391,7 @@ impl Lattice {
     }
 
     /// The fastest node's speed, m/s.
+    #[inline(always)]
     pub fn fastest(&self) -> f64 {
         let [x, y, z] = self.v.each_ref().map(|v| blocks(v));
         let mut most = [0.0_f32; LANES];
@@ -436,6 +432,31 @@ impl Lattice {
             });
             signed.sum()
         })
+    }
+}
+
+#[inline(always)]
+fn kick(lattice: &mut Lattice, seconds: f32) {
+    let Lattice { form, x, v, workspace: Workspace { forces, rigid, .. }, .. } = lattice;
+    let keep = damping::kept(form.material.damping, seconds);
+    damping::damp(form, x, v, rigid.as_ref(), keep);
+    for (velocities, forces) in v.iter_mut().zip(forces) {
+        let nodes = velocities.iter_mut().zip(forces).zip(&form.inverse_mass);
+        for ((velocity, force), inverse_mass) in nodes {
+            *velocity += *force * inverse_mass * seconds;
+        }
+    }
+}
+
+#[inline(always)]
+fn drift(lattice: &mut Lattice, seconds: f32) {
+    if lattice.fastest() > f64::from(FASTEST) {
+        lattice.slow_down();
+    }
+    for (positions, velocities) in lattice.x.iter_mut().zip(&lattice.v) {
+        for (position, velocity) in positions.iter_mut().zip(velocities) {
+            *position += velocity * seconds;
+        }
     }
 }
 

@@ -9,6 +9,7 @@
 //! | [`damping`] | deformation dies out, momenta stay |
 //! | [`carve`] | a lattice cut from a distance function |
 //! | [`skin`] | triangles that are seen, samples that touch |
+//! | [`corners`] | what samples have of nodes |
 //! | [`proxy`], [`shape`] | rigid bodies in the substeps of soft ones |
 //! | [`candidates`] | samples that may touch rigid bodies in a step |
 //! | [`contact`] | contacts with them: Coulomb friction, impulses both ways |
@@ -28,6 +29,7 @@ mod body;
 mod candidates;
 mod carve;
 mod contact;
+mod corners;
 mod damping;
 mod elasticity;
 mod lanes;

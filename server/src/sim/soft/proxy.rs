@@ -102,7 +102,7 @@ pub(in crate::sim) struct Load {
 impl Load {
     /// Adds an impulse (N·s) that acts on the soft body at `point`, `pressing` along the normal, beside a rigid one with this
     /// `centre` (m).
-    #[inline]
+    #[inline(always)]
     pub(super) fn add(
         &mut self,
         impulse: &Vector3<f32>,
@@ -126,7 +126,7 @@ impl PartProxy {
     }
 
     /// The gap between a point and its surface, where that is less than `reach` (m); the normal has axes of the world.
-    #[inline]
+    #[inline(always)]
     pub(super) fn gap(&self, point: &Vector3<f32>, reach: f32) -> Option<Gap> {
         let local = self.at.axes.tr_mul(&(point - self.at.origin));
         let gap = self.shape.gap(&local, reach)?;
@@ -169,6 +169,17 @@ impl Proxy {
         }
     }
 
+    /// Velocity of a point at `arm` from the centre, m/s.
+    #[inline(always)]
+    pub(super) fn velocity_at(&self, arm: &Vector3<f32>) -> Vector3<f32> {
+        self.velocity + self.rate.cross(arm)
+    }
+
+    /// How far any point of it moves in `seconds` by its velocities, at most, m.
+    pub(super) fn reach(&self, seconds: f32) -> f32 {
+        (self.velocity.norm() + self.rate.norm() * self.radius) * seconds
+    }
+
     /// Moves it by its velocities.
     pub(super) fn finish(&mut self, seconds: f32) {
         if let Some(mut hinge) = self.hinge.take() {
@@ -184,7 +195,7 @@ impl Proxy {
         if self.is_static {
             return;
         }
-        self.moved = (self.velocity.norm() + self.rate.norm() * self.radius) * seconds;
+        self.moved = self.reach(seconds);
         self.centre += self.velocity * seconds;
         // q' = q + ½ ω q Δt, with no function that a C library would decide.
         let turn = nalgebra::Quaternion::from_imag(self.rate * (0.5 * seconds));

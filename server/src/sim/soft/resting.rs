@@ -10,6 +10,9 @@ use super::candidates::Candidate;
 use super::contact::{self, lanes, vector};
 use super::proxy::Proxy;
 
+/// How many samples are computed beside each other.
+const CHAINS: usize = 4;
+
 /// A sample that may touch a flat face in this step.
 #[derive(Debug, Clone)]
 pub(super) struct Resting {
@@ -27,10 +30,18 @@ pub(super) struct Resting {
 }
 
 /// The product of two vectors, whose fourth numbers are 0, in an order that no processor decides.
-#[inline]
+#[inline(always)]
 fn dot(one: f32x4, other: f32x4) -> f32 {
     let [x, y, z, _] = (one * other).to_array();
     x + y + z
+}
+
+/// The order of so many samples in which those that share nodes do not follow each other: no processor has to wait for the
+/// one before.
+#[inline(always)]
+pub(super) fn order(samples: usize) -> impl Iterator<Item = usize> {
+    let apart = samples.div_ceil(CHAINS);
+    (0..apart).flat_map(move |first| (first..samples).step_by(apart))
 }
 
 impl Resting {
@@ -44,7 +55,7 @@ impl Resting {
         Self {
             normal: lanes(normal),
             offset: normal.dot(point) - distance,
-            mass: if sample.is_held() { 0.0 } else { 1.0 / sample.mobility },
+            mass: if sample.corners.is_held() { 0.0 } else { 1.0 / sample.corners.mobility },
             impulse: f32x4::ZERO,
             given: f32x4::ZERO,
             pressing: 0.0,
@@ -53,9 +64,9 @@ impl Resting {
     }
 
     /// How far it is beyond the face, m.
-    #[inline]
+    #[inline(always)]
     pub(super) fn distance(&self, places: &[f32x4]) -> f32 {
-        dot(self.normal, self.sample.mean(places)) - self.offset
+        dot(self.normal, self.sample.corners.mean(places)) - self.offset
     }
 
     /// Begins a step with the impulse of the step before.
@@ -64,20 +75,20 @@ impl Resting {
     }
 
     /// Begins a substep with the impulse of the one before, `scale` times as large.
-    #[inline]
+    #[inline(always)]
     pub(super) fn start(&mut self, scale: f32, velocities: &mut [f32x4]) {
         self.impulse *= f32x4::splat(scale);
-        self.sample.push(self.impulse, velocities);
+        self.sample.corners.push(self.impulse, velocities);
     }
 
     /// Changes velocities by what the face does to it.
     ///
     /// There are no branches on what is computed: no processor could tell in time whether they are taken.
-    #[inline]
+    #[inline(always)]
     pub(super) fn solve(&mut self, places: &[f32x4], velocities: &mut [f32x4], seconds: f32) {
         let distance = self.distance(places);
         let least = f32x4::splat(contact::least_velocity(distance, seconds));
-        let missing = self.normal * least - self.sample.mean(velocities);
+        let missing = self.normal * least - self.sample.corners.mean(velocities);
         let wanted = self.impulse + missing * f32x4::splat(self.mass);
         let along = dot(self.normal, wanted);
         let across = wanted - self.normal * f32x4::splat(along);
@@ -85,7 +96,7 @@ impl Resting {
         let (most, size) = (self.sample.friction * pressing, dot(across, across).sqrt());
         let part = (most / size.max(f32::MIN_POSITIVE)).min(1.0);
         let impulse = self.normal * f32x4::splat(pressing) + across * f32x4::splat(part);
-        self.sample.push(impulse - self.impulse, velocities);
+        self.sample.corners.push(impulse - self.impulse, velocities);
         self.impulse = impulse;
         self.given += impulse;
         self.pressing += pressing;
@@ -98,7 +109,7 @@ impl Resting {
             return;
         }
         let proxy = &mut proxies[self.sample.proxy as usize];
-        let point = vector(self.sample.mean(places));
+        let point = vector(self.sample.corners.mean(places));
         proxy.load.add(&vector(self.given), &point, &proxy.centre, self.pressing);
     }
 }

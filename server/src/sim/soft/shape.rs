@@ -66,7 +66,7 @@ impl Shape {
     }
 
     /// The gap between a point of the part's frame and its surface, where it is less than `reach`.
-    #[inline]
+    #[inline(always)]
     pub(super) fn gap(&self, point: &Vector3<f32>, reach: f32) -> Option<Gap> {
         match self {
             Self::Cuboid(half) => {
@@ -109,7 +109,7 @@ impl Shape {
 }
 
 /// The gap to a box beyond whose faces a point is by `outside` (below 0 within), if less than `reach`.
-#[inline]
+#[inline(always)]
 fn box_gap(point: &Vector3<f32>, outside: &Vector3<f32>, reach: f32) -> Option<Gap> {
     let sign = |axis: usize| if point[axis] < 0.0 { -1.0 } else { 1.0 };
     let nearest = outside.imax();

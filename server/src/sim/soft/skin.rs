@@ -13,6 +13,7 @@ use std::sync::Arc;
 
 use nalgebra::{Matrix3, Point3, Vector3};
 
+use super::corners::Corners;
 use super::lattice::{CORNERS, Form, Lattice};
 use crate::sim::frames::Aabb;
 use crate::sim::world::RestSurface;
@@ -74,6 +75,8 @@ impl MaterialPoint {
 #[derive(Debug, Clone, Default)]
 pub(super) struct Samples {
     pub(super) places: Vec<MaterialPoint>,
+    /// What each has of its nodes.
+    pub(super) corners: Vec<Corners>,
     /// For how much of the skin each stands, m².
     pub(super) areas: Vec<f32>,
     /// Elements, and which places are in each.
@@ -81,7 +84,7 @@ pub(super) struct Samples {
 }
 
 impl Samples {
-    fn new(mut samples: Vec<(MaterialPoint, f32)>) -> Self {
+    fn new(form: &Form, mut samples: Vec<(MaterialPoint, f32)>) -> Self {
         samples.sort_by_key(|(place, _)| place.element);
         let (places, areas): (Vec<_>, _) = samples.into_iter().unzip();
         let mut elements: Vec<(u32, Range<u32>)> = vec![];
@@ -91,7 +94,8 @@ impl Samples {
                 _ => elements.push((place.element, index..index + 1)),
             }
         }
-        Self { places, areas, elements }
+        let corners = places.iter().map(|place| Corners::new(form, place)).collect();
+        Self { places, corners, areas, elements }
     }
 }
 
@@ -142,7 +146,7 @@ impl Skin {
             triangles: triangles.collect(),
         };
         let unweighted = vertices.iter().map(|vertex| (*vertex, 0.0)).collect();
-        let (fine, coarse) = (Samples::new(samples), Samples::new(unweighted));
+        let (fine, coarse) = (Samples::new(form, samples), Samples::new(form, unweighted));
         Self { vertices, rest: Arc::new(rest), fine, coarse, spacing: spacing as f32 }
     }
 

@@ -1,0 +1,163 @@
+//! What a sample of the skin has of the nodes around it, and what it does to them.
+
+use wide::f32x4;
+
+use super::lattice::{CORNERS, Form, Lattice};
+use super::skin::MaterialPoint;
+
+/// Weight of a corner that counts: more than rounding.
+const LEAST_WEIGHT: f32 = 1e-4;
+
+/// Sum of the weights of free nodes below which a sample counts as held: they would have to move more than four times as
+/// fast as what pushes it.
+const LEAST_FREE: f32 = 0.25;
+
+/// The corners of a sample's element that count.
+#[derive(Debug, Clone)]
+pub(super) struct Corners {
+    count: u8,
+    /// Their nodes, how much each counts, and that over its mass, 1/kg.
+    nodes: [u16; CORNERS],
+    weights: [f32; CORNERS],
+    mobilities: [f32; CORNERS],
+    /// Σ w²/m, 1/kg; 0, where the sample is held.
+    pub mobility: f32,
+}
+
+impl Corners {
+    /// Those of a sample at `place`.
+    pub(super) fn new(form: &Form, place: &MaterialPoint) -> Self {
+        let mut corners = Self {
+            count: 0,
+            nodes: [0; CORNERS],
+            weights: [0.0; CORNERS],
+            mobilities: [0.0; CORNERS],
+            mobility: 0.0,
+        };
+        let mut free = 0.0;
+        for (weight, offset) in place.weights().into_iter().zip(form.grid.corner_offsets()) {
+            if weight.abs() > LEAST_WEIGHT {
+                let node = place.element as usize + offset;
+                let index = corners.count as usize;
+                let mobility = weight * form.inverse_mass[node];
+                corners.nodes[index] = node as u16;
+                corners.weights[index] = weight;
+                corners.mobilities[index] = mobility;
+                corners.mobility += weight * mobility;
+                corners.count += 1;
+                free += if mobility == 0.0 { 0.0 } else { weight };
+            }
+        }
+        if free < LEAST_FREE {
+            corners.mobility = 0.0;
+            corners.mobilities = [0.0; CORNERS];
+        }
+        corners
+    }
+
+    /// The same where all nodes have this part of the mass.
+    pub(super) fn with_mass(mut self, part: f32) -> Self {
+        if part != 1.0 {
+            self.mobility /= part;
+            self.mobilities.iter_mut().for_each(|mobility| *mobility /= part);
+        }
+        self
+    }
+
+    /// Whether the sample is held where it is.
+    pub(super) fn is_held(&self) -> bool {
+        self.mobility == 0.0
+    }
+
+    /// What the sample has of something that nodes have.
+    #[inline(always)]
+    pub(super) fn mean(&self, of: &[f32x4]) -> f32x4 {
+        let part =
+            |corner: usize| of[self.nodes[corner] as usize] * f32x4::splat(self.weights[corner]);
+        if self.count as usize == CORNERS {
+            // In pairs: no sum waits for all others.
+            return ((part(0) + part(1)) + (part(2) + part(3)))
+                + ((part(4) + part(5)) + (part(6) + part(7)));
+        }
+        let mut sum = f32x4::ZERO;
+        for corner in 0..self.count as usize {
+            sum += part(corner);
+        }
+        sum
+    }
+
+    /// Gives an impulse to the nodes: x, y and z.
+    #[inline(always)]
+    pub(super) fn push(&self, impulse: f32x4, velocities: &mut [f32x4]) {
+        let mut push = |corner: usize| {
+            velocities[self.nodes[corner] as usize] +=
+                impulse * f32x4::splat(self.mobilities[corner]);
+        };
+        if self.count as usize == CORNERS {
+            (0..CORNERS).for_each(push);
+            return;
+        }
+        for corner in 0..self.count as usize {
+            push(corner);
+        }
+    }
+}
+
+/// All nodes of a lattice, as corners need them.
+#[derive(Debug, Default)]
+pub(super) struct Nodes {
+    /// Where they are, m from the lattice's origin, and how they move, m/s.
+    pub places: Vec<f32x4>,
+    pub velocities: Vec<f32x4>,
+}
+
+/// Nodes that are taken over together.
+const BLOCK: usize = 4;
+
+/// The blocks of the numbers of nodes along one axis.
+fn blocks(numbers: &[f32]) -> &[[f32; BLOCK]] {
+    numbers.as_chunks().0
+}
+
+impl Nodes {
+    /// Takes over where a body's nodes are.
+    pub(super) fn begin(&mut self, lattice: &Lattice) {
+        self.places.clear();
+        self.places.extend(gathered(&lattice.x));
+    }
+
+    /// Takes over where they are and how they move. Returns by how much the farthest has moved since that was done before, m.
+    #[inline(always)]
+    pub(super) fn load(&mut self, lattice: &Lattice) -> f32 {
+        self.velocities.clear();
+        self.velocities.extend(gathered(&lattice.v));
+        let mut farthest = f32x4::ZERO;
+        for (place, now) in self.places.iter_mut().zip(gathered(&lattice.x)) {
+            farthest = farthest.fast_max((now - *place).abs());
+            *place = now;
+        }
+        let [x, y, z, _] = farthest.to_array();
+        (x * x + y * y + z * z).sqrt()
+    }
+
+    /// Hands back how they move.
+    #[inline(always)]
+    pub(super) fn store(&self, lattice: &mut Lattice) {
+        let [x, y, z] = lattice.v.each_mut().map(|v| v.as_chunks_mut::<BLOCK>().0);
+        let to = x.iter_mut().zip(y).zip(z);
+        for (from, ((x, y), z)) in self.velocities.as_chunks::<BLOCK>().0.iter().zip(to) {
+            let rows = f32x4::transpose(*from);
+            (*x, *y, *z) = (rows[0].to_array(), rows[1].to_array(), rows[2].to_array());
+        }
+    }
+}
+
+/// The vectors of all nodes.
+#[inline(always)]
+fn gathered([x, y, z]: &[Vec<f32>; 3]) -> impl Iterator<Item = f32x4> {
+    let blocks = blocks(x).iter().zip(blocks(y)).zip(blocks(z));
+    blocks.flat_map(|((x, y), z)| {
+        let rows = [x, y, z].map(|numbers| f32x4::from(*numbers));
+        f32x4::transpose([rows[0], rows[1], rows[2], f32x4::ZERO])
+    })
+}
