@@ -33,8 +33,6 @@
 //! all, over 3 λ', is a bound of the tangent stiffness relative to that at rest. In what follows it is the *tangent* of an
 //! element. The square of the greatest stable time step is at most as many times shorter than at rest.
 
-#![allow(clippy::inline_always)] // what is not inlined is compiled for narrow registers only
-
 use super::lanes::{LANES, Lanes};
 use super::lattice::Form;
 

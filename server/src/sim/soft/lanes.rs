@@ -4,8 +4,6 @@
 //! 256 bits (AVX2), which [`with_widest_registers`] takes where the processor has them. Each lane is computed alike in both,
 //! and no multiplication is fused with an addition, so the bits are the same.
 
-#![allow(clippy::inline_always)] // what is not inlined is compiled for narrow registers only
-
 use std::ops::{Add, Div, Mul, Neg, Sub};
 
 use wide::f32x8;
@@ -110,6 +108,22 @@ impl Lanes for f32x8 {
     }
 }
 
+/// Whether the processor has registers of 256 bits, and no test does without them.
+#[cfg(target_arch = "x86_64")]
+pub(super) fn are_wide() -> bool {
+    #[cfg(test)]
+    if NARROW.get() {
+        return false;
+    }
+    std::arch::is_x86_feature_detected!("avx2")
+}
+
+#[cfg(test)]
+thread_local! {
+    /// Whether this thread does without registers of 256 bits.
+    pub(super) static NARROW: std::cell::Cell<bool> = const { std::cell::Cell::new(false) };
+}
+
 /// Calls a function that takes the kind of lanes as its type parameter, with the widest registers of the processor.
 macro_rules! with_widest_registers {
     ($function:ident($($name:ident: $type:ty),*) -> $result:ty) => {{
@@ -119,7 +133,7 @@ macro_rules! with_widest_registers {
             fn wide($($name: $type),*) -> $result {
                 $function::<$crate::sim::soft::lanes::Avx2>($($name),*)
             }
-            if std::arch::is_x86_feature_detected!("avx2") {
+            if $crate::sim::soft::lanes::are_wide() {
                 // SAFETY: the processor has what the function was compiled for.
                 #[allow(unsafe_code)]
                 return unsafe { wide($($name),*) };
@@ -140,7 +154,7 @@ macro_rules! with_widest_instructions {
             fn wide($($name: $type),*) {
                 $function($($name),*);
             }
-            if std::arch::is_x86_feature_detected!("avx2") {
+            if $crate::sim::soft::lanes::are_wide() {
                 // SAFETY: the processor has what the function was compiled for.
                 #[allow(unsafe_code)]
                 return unsafe { wide($($name),*) };

@@ -24,6 +24,9 @@
 //! Numbers are f32. The order of all sums is fixed and no multiplication is fused with an addition, so the bits
 //! are the same on every processor.
 
+// What is not inlined is compiled for narrow registers only: see `lanes`.
+#![allow(clippy::inline_always)]
+
 mod attachment;
 mod body;
 mod candidates;

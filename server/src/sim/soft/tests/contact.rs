@@ -4,13 +4,14 @@ use std::sync::Arc;
 
 use nalgebra::{Point3, UnitQuaternion, Vector3};
 
+use super::super::lanes::NARROW;
 use super::super::{Form, Friction, Material, MaterialPoint, Skin, SoftBody, box_distance};
 use super::material;
 use crate::sim::frames::{self, Aabb, Pose};
 use crate::sim::instrument::{Instrument, JAW_CLOSED, JAW_OPEN, Jaws, Posture, TIP_OFFSET};
 use crate::sim::motion::carry_out;
 use crate::sim::world::{
-    GRAVITY, Motion, Part, Push, SUBSTEPS_PER_SECOND, Shape, SoftId, Solver, World,
+    GRAVITY, Motion, NonRigid, Part, Push, SUBSTEPS_PER_SECOND, Shape, SoftId, Solver, World,
 };
 
 /// A box of these elements, at rest with its middle at a pose; nodes are held where `is_held` says.
@@ -129,6 +130,21 @@ fn what_a_body_gets_from_a_plate_is_what_the_plate_gets() {
     println!("impulse and momentum differ by {error:.1e}");
     assert!(largest > 0.1 * mass && given.x.abs() > 1e-3 * mass, "{given}");
     assert!(error < 1e-4, "{error}");
+}
+
+#[test]
+fn contacts_in_narrow_and_wide_registers_give_the_same_bits() {
+    let bits = |is_narrow: bool| {
+        NARROW.set(is_narrow);
+        let (mut sliding, cube, ..) = incline(1.2);
+        advance(&mut sliding, 0.2);
+        let (mut gripping, sheet, _) = gripped(true, 1.0, 0.8);
+        advance(&mut gripping, 0.2);
+        NARROW.set(false);
+        let both = sliding.soft(cube).bits().chain(gripping.soft(sheet).bits());
+        both.collect::<Vec<_>>()
+    };
+    assert_eq!(bits(true), bits(false));
 }
 
 #[test]
