@@ -116,6 +116,8 @@ pub struct Skin {
 impl Skin {
     /// The skin of the form within `bounds` whose `distance` (m, body's frame) is below 0, with a vertex every
     /// `spacing` m.
+    ///
+    /// It knows how easily its samples are pushed, so nodes that are held must be held before.
     pub fn new(
         form: &Form,
         bounds: &Aabb,
