@@ -249,13 +249,13 @@ impl SoftBody {
         let seconds = seconds as f32;
         let covered = proxies.iter().map(|proxy| proxy.reach(seconds)).fold(0.0, f32::max);
         self.beside(proxies, WAKE + covered, |contacts, proxies| {
-            contacts.are_approached(&self.lattice, proxies, seconds, WAKE)
+            contacts.are_approached(proxies, seconds, WAKE)
         })
     }
 
     /// How deep samples of its skin are in these rigid bodies, m: the deepest.
     pub(in crate::sim) fn deepest_overlap(&self, proxies: Vec<Proxy>) -> f64 {
-        self.beside(proxies, 0.0, |contacts, proxies| contacts.deepest(&self.lattice, proxies))
+        self.beside(proxies, 0.0, Contacts::deepest)
     }
 
     /// What `found` tells of the samples within `reach` (m) of these rigid bodies, where all are now.
@@ -263,12 +263,12 @@ impl SoftBody {
         &self,
         mut proxies: Vec<Proxy>,
         reach: f32,
-        found: impl FnOnce(&mut Contacts, &[Proxy]) -> T,
+        found: impl FnOnce(&Contacts, &[Proxy]) -> T,
     ) -> T {
         proxies.iter_mut().for_each(Proxy::settle);
         let mut contacts = Contacts::default();
         contacts.begin(&self.lattice, &self.skin, &self.friction, &proxies, reach);
-        let told = found(&mut contacts, &proxies);
+        let told = found(&contacts, &proxies);
         contacts.finish(&mut proxies, 1.0);
         told
     }

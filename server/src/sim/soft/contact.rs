@@ -186,17 +186,10 @@ impl Contacts {
         (self.warm.capacity() * size_of::<Warm>()) as u64
     }
 
-    /// Whether a part comes as near as `reach` (m) to a sample within `seconds` in which no node moves.
-    pub(super) fn are_approached(
-        &mut self,
-        lattice: &Lattice,
-        proxies: &[Proxy],
-        seconds: f32,
-        reach: f32,
-    ) -> bool {
-        let Candidates { fixed, moving, nodes, .. } = &mut self.work.candidates;
-        nodes.load(lattice);
-        fixed.iter().chain(moving.iter()).any(|candidate| {
+    /// Whether a moving part comes as near as `reach` (m) to a sample within `seconds` in which no node moves.
+    pub(super) fn are_approached(&self, proxies: &[Proxy], seconds: f32, reach: f32) -> bool {
+        let Candidates { moving, nodes, .. } = &self.work.candidates;
+        moving.iter().any(|candidate| {
             let proxy = &proxies[candidate.proxy as usize];
             let point = vector(candidate.corners.mean(&nodes.places));
             let gap = proxy.parts[candidate.part as usize].gap(&point, f32::INFINITY);
@@ -208,9 +201,8 @@ impl Contacts {
     }
 
     /// How deep samples are in rigid parts, m: that of the deepest.
-    pub(super) fn deepest(&mut self, lattice: &Lattice, proxies: &[Proxy]) -> f64 {
-        let Candidates { resting, fixed, moving, nodes, .. } = &mut self.work.candidates;
-        nodes.load(lattice);
+    pub(super) fn deepest(&self, proxies: &[Proxy]) -> f64 {
+        let Candidates { resting, fixed, moving, nodes, .. } = &self.work.candidates;
         let depths_of_resting = resting.iter().map(|each| f64::from(-each.distance(&nodes.places)));
         let depths = fixed.iter().chain(moving.iter()).filter_map(|candidate| {
             let part = &proxies[candidate.proxy as usize].parts[candidate.part as usize];
