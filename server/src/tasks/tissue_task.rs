@@ -56,7 +56,7 @@ pub const LENGTH: f32 = 0.01;
 const GRASP_X: f64 = 28e-3;
 
 /// How far the tips go under the upper face, m: `server/GRASPING.md` has what happens elsewhere.
-const DEPTH: f64 = 4.5e-3;
+const DEPTH: f64 = 4e-3;
 
 /// How far above the grasp the jaws open, m.
 const HOVER: f64 = 11e-3;
