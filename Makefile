@@ -58,10 +58,14 @@ demo: $(VENV)/ready ## * one server, a Rust and two Python clients at once; a ta
 
 # Also what `every_task_looks_as_it_did` expects.
 .PHONY: pictures
-pictures: ## assets/pictures: every task, also in both looks; needle_pick.gif; every policy at work
+pictures: ## assets/pictures: every task, also in both looks; films of experts; every policy at work
 	$(CARGO) build --release --locked -p trocar
 	$(TARGET)/release/trocar render --each assets/pictures
 	$(TARGET)/release/trocar render --task NeedlePick-v0 --out assets/pictures/needle_pick.gif
+	for task in TissueRetract TissuePoint GauzePlace; do \
+		$(TARGET)/release/trocar render --task $$task-v0 --look cavity --camera endoscope --seed 0 --size 240x180 \
+			--out assets/pictures/$$task-v0.gif; \
+	done
 	for look in bench cavity; do \
 		$(TARGET)/release/trocar render --look $$look --camera endoscope --moments 2 --size 160x120 \
 			--out assets/pictures/$$look.png; \
