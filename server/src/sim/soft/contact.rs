@@ -32,7 +32,7 @@ use super::resting::{self, Resting};
 use super::skin::Skin;
 
 /// How often all contacts with what moves are solved in a substep, at most.
-const SWEEPS: usize = 30;
+const SWEEPS: usize = 24;
 
 /// They are solved no more once that has changed no sample's velocity by more than this, m/s. A part of the impulses would
 /// not do: where jaws press hard, errors of some tenths of a per cent shake nodes of some 0.1 g.
@@ -241,11 +241,13 @@ fn solve(contacts: &mut Contacts, lattice: &mut Lattice, proxies: &mut [Proxy], 
     }
     for sweep in 0..SWEEPS {
         let mut changes = f32x4::ZERO;
+        let is_way_back = sweep % 2 == 1;
         for step in 0..moving.len() {
-            // There and back: sweeps in one direction push neighbours along it.
-            let number = if sweep % 2 == 0 { step } else { moving.len() - 1 - step };
+            // There and back: sweeps in one direction push neighbours along it. The way back is that of those that bear.
+            let number = if is_way_back { moving.len() - 1 - step } else { step };
             let contact = &mut moving[number];
-            if sweep == 0 || !contact.is_held {
+            let is_idle = contact.is_held || is_way_back && contact.impulse == f32x4::ZERO;
+            if sweep == 0 || !is_idle {
                 let change = contact.solve::<false>(beside_moving, velocities, proxies);
                 changes = changes.max(change.abs() * contact.mobility);
             }
