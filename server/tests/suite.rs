@@ -191,7 +191,8 @@ fn what_is_seen_is_within_its_bounds_and_not_constant() {
         let spec = env.spec().clone();
         let mut actions = Actions::new(1);
         let mut ranges = vec![(f32::INFINITY, f32::NEG_INFINITY); spec.observation_dim()];
-        for episode in 0..if is_slow(&variant.0) { 2 } else { 6 } {
+        // Two of the expert's at least: smooth jaws lose fat in one episode of seven.
+        for episode in 0..if is_slow(&variant.0) { 4 } else { 6 } {
             env.reset((episode == 0).then_some(3));
             loop {
                 let seen = Seen::of(&env);
