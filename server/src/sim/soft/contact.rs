@@ -32,7 +32,7 @@ use super::resting::{self, Resting};
 use super::skin::Skin;
 
 /// How often all contacts with what moves are solved in a substep, at most.
-const SWEEPS: usize = 24;
+const SWEEPS: usize = 16;
 
 /// They are solved no more once that has changed no sample's velocity by more than this, m/s. A part of the impulses would
 /// not do: where jaws press hard, errors of some tenths of a per cent shake nodes of some 0.1 g.

@@ -122,20 +122,21 @@ fn blocks(numbers: &[f32]) -> &[[f32; BLOCK]] {
 impl Nodes {
     /// Takes over where a body's nodes are.
     pub(super) fn begin(&mut self, lattice: &Lattice) {
-        self.places.clear();
-        self.places.extend(gathered(&lattice.x));
+        for vectors in [&mut self.places, &mut self.velocities] {
+            vectors.clear();
+            vectors.resize(blocks(&lattice.x[0]).len() * BLOCK, f32x4::ZERO);
+        }
+        gather(&lattice.x, &mut self.places, |_, _| {});
     }
 
     /// Takes over where they are and how they move. Returns by how much the farthest has moved since that was done before, m.
     #[inline(always)]
     pub(super) fn load(&mut self, lattice: &Lattice) -> f32 {
-        self.velocities.clear();
-        self.velocities.extend(gathered(&lattice.v));
         let mut farthest = f32x4::ZERO;
-        for (place, now) in self.places.iter_mut().zip(gathered(&lattice.x)) {
-            farthest = farthest.fast_max((now - *place).abs());
-            *place = now;
-        }
+        gather(&lattice.v, &mut self.velocities, |_, _| {});
+        gather(&lattice.x, &mut self.places, |before, now| {
+            farthest = farthest.fast_max((now - before).abs());
+        });
         let [x, y, z, _] = farthest.to_array();
         (x * x + y * y + z * z).sqrt()
     }
@@ -152,12 +153,16 @@ impl Nodes {
     }
 }
 
-/// The vectors of all nodes.
+/// Puts the vectors of all nodes in the place of those of before, and shows both.
 #[inline(always)]
-fn gathered([x, y, z]: &[Vec<f32>; 3]) -> impl Iterator<Item = f32x4> {
+fn gather([x, y, z]: &[Vec<f32>; 3], to: &mut [f32x4], mut see: impl FnMut(f32x4, f32x4)) {
     let blocks = blocks(x).iter().zip(blocks(y)).zip(blocks(z));
-    blocks.flat_map(|((x, y), z)| {
+    for (to, ((x, y), z)) in to.as_chunks_mut::<BLOCK>().0.iter_mut().zip(blocks) {
         let rows = [x, y, z].map(|numbers| f32x4::from(*numbers));
-        f32x4::transpose([rows[0], rows[1], rows[2], f32x4::ZERO])
-    })
+        let now = f32x4::transpose([rows[0], rows[1], rows[2], f32x4::ZERO]);
+        for (before, now) in to.iter().zip(now) {
+            see(*before, now);
+        }
+        *to = now;
+    }
 }

@@ -20,7 +20,7 @@ use crate::sim::world::RestSurface;
 
 /// Distance of neighbouring samples where instruments touch, m, at most: jaws are 1.8 mm wide and more. More samples
 /// than nodes only say the same again.
-const SAMPLE_SPACING: f64 = 1.4e-3;
+const SAMPLE_SPACING: f64 = 1.7e-3;
 
 /// A point of the body.
 #[derive(Debug, Clone, Copy, PartialEq)]
