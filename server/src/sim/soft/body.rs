@@ -184,12 +184,14 @@ impl SoftBody {
                 && (is_between(&middle, outside)
                     || corners.any(|corner| is_between(&corner, outside)))
         };
+        let bounds = self.bounds();
+        let is_any_near = is_between(&bounds.centre().into(), 0.5 * bounds.extents().norm() + near);
         let mut damage = Damage::default();
         for element in form.elements() {
             // Its eigenvalues are the squares of the principal stretches.
             let gradient = self.lattice.deformation_gradient(element);
             let squares = gradient.tr_mul(&gradient);
-            if is_gripped(element) {
+            if is_any_near && is_gripped(element) {
                 let least = (1.0 - ultimate).max(0.0);
                 let above = squares - Matrix3::identity() * (least * least);
                 damage.gripped += 1;

@@ -12,8 +12,9 @@
 //! The effective mass of a row along d is 1 / (Σ w²/m + 1/M + (r × d)·I⁻¹(r × d)). w are the weights of the corners of the
 //! sample's element and m their masses; M and I are mass and inertia of the rigid body, and r points from its centre to
 //! the sample. Contacts begin with the impulses of the substep before: without that friction creeps. Those with what moves
-//! are solved one after the other (projected symmetric Gauss–Seidel), up to [`SWEEPS`] times; those with what stands still
-//! once before, since they hardly act on each other. Most of these are [`resting`](super::resting) on a flat face.
+//! are solved one after the other (projected Gauss–Seidel) and back, up to [`SWEEPS`] times in all; on the way back those that
+//! still change. Those with what stands still are solved once before, since they hardly act on each other. Most of these are
+//! [`resting`](super::resting) on a flat face.
 //!
 //! A sample that is held only stops a finger: it undoes no overlap, begins with no impulse, and is solved once. A finger
 //! between two of them can obey neither, and impulses would grow without end.
@@ -32,7 +33,7 @@ use super::resting::{self, Resting};
 use super::skin::Skin;
 
 /// How often all contacts with what moves are solved in a substep, at most.
-const SWEEPS: usize = 16;
+const SWEEPS: usize = 24;
 
 /// They are solved no more once that has changed no sample's velocity by more than this, m/s. A part of the impulses would
 /// not do: where jaws press hard, errors of some tenths of a per cent shake nodes of some 0.1 g.
@@ -240,19 +241,19 @@ fn solve(contacts: &mut Contacts, lattice: &mut Lattice, proxies: &mut [Proxy], 
         contact.solve::<true>(beside_fixed, velocities, proxies);
     }
     for sweep in 0..SWEEPS {
-        let mut changes = f32x4::ZERO;
+        let mut most: f32 = 0.0;
         let is_way_back = sweep % 2 == 1;
         for step in 0..moving.len() {
-            // There and back: sweeps in one direction push neighbours along it. The way back is that of those that bear.
+            // There and back: sweeps in one direction push neighbours along it. The way back is that of those that change.
             let number = if is_way_back { moving.len() - 1 - step } else { step };
             let contact = &mut moving[number];
-            let is_idle = contact.is_held || is_way_back && contact.impulse == f32x4::ZERO;
+            let is_idle = contact.is_held || is_way_back && contact.changed < SETTLED;
             if sweep == 0 || !is_idle {
-                let change = contact.solve::<false>(beside_moving, velocities, proxies);
-                changes = changes.max(change.abs() * contact.mobility);
+                contact.solve::<false>(beside_moving, velocities, proxies);
+                most = most.max(contact.changed);
             }
         }
-        if changes.to_array().into_iter().fold(0.0, f32::max) < SETTLED {
+        if most < SETTLED {
             break;
         }
     }
@@ -282,6 +283,8 @@ struct Contact {
     effective_mass: f32x4,
     /// Along normal and tangents.
     impulse: f32x4,
+    /// By how much the sample's velocity changed when it was solved last, m/s: the greatest of the three.
+    changed: f32,
 }
 
 /// Three numbers, and a fourth that is 0.
@@ -367,6 +370,7 @@ fn detect<const FIXED: bool>(
             mobility: lanes(&mobility.into()),
             effective_mass: lanes(&masses.into()),
             impulse: f32x4::ZERO,
+            changed: 0.0,
         });
     }
 }
@@ -437,7 +441,7 @@ impl Contact {
         candidates: &[Candidate],
         velocities: &mut [f32x4],
         proxies: &mut [Proxy],
-    ) -> f32x4 {
+    ) {
         let candidate = &candidates[self.candidate as usize];
         let mut velocity = vector(candidate.corners.mean(velocities));
         if !FIXED {
@@ -449,10 +453,12 @@ impl Contact {
         let before = self.impulse;
         self.impulse = Self::borne(candidate.friction, before + missing * self.effective_mass);
         let change = self.impulse - before;
+        self.changed = 0.0;
         if change != f32x4::ZERO {
             self.apply::<FIXED>(candidate, change, velocities, proxies);
+            let [normal, first, second, _] = (change.abs() * self.mobility).to_array();
+            self.changed = normal.max(first).max(second);
         }
-        change
     }
 
     #[inline(always)]
