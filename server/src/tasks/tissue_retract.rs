@@ -142,6 +142,8 @@ pub struct Exposing {
     eye: Vector3<f64>,
     target: Vector3<f64>,
     exposed: f64,
+    /// How often the sheet had moved when that was found.
+    found_at: Option<u64>,
 }
 
 impl Purpose for Exposing {
@@ -152,7 +154,7 @@ impl Purpose for Exposing {
 
     fn new(options: &Options) -> Result<Self, Rejection> {
         let eye = exposure::eye(options::arm_of(options)?);
-        Ok(Self { eye, target: Vector3::zeros(), exposed: 0.0 })
+        Ok(Self { eye, target: Vector3::zeros(), exposed: 0.0, found_at: None })
     }
 
     fn begin(&mut self, rng: &mut Rng) -> ([f64; 2], Vector3<f64>) {
@@ -160,13 +162,17 @@ impl Purpose for Exposing {
         let (under, y) = (rng.uniform(UNDER[0], UNDER[1]), rng.uniform(-ASIDE, ASIDE));
         let middle = Sheet::pose().translation.vector;
         self.target = Vector3::new(middle.x + edge - under, middle.y + y, tray::pad().max.z);
+        self.found_at = None;
         let (back, up) = (rng.uniform(BACK[0], BACK[1]), rng.uniform(UP[0], UP[1]));
         ([edge, y], Vector3::new(-back, 0.0, up))
     }
 
     fn look(&mut self, sheet: &Sheet, world: &World) {
         let body = world.soft(sheet.soft());
-        self.exposed = exposure::share(&self.eye, &self.target, RADIUS, body);
+        if self.found_at != Some(body.moves()) {
+            self.exposed = exposure::share(&self.eye, &self.target, RADIUS, body);
+            self.found_at = Some(body.moves());
+        }
     }
 
     fn parts() -> Vec<(Element, f32, f32)> {

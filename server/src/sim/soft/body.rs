@@ -1,7 +1,7 @@
 //! A soft body in the world: its lattice, its skin, what it touches, and whether it sleeps.
 
 use std::ops::AddAssign;
-use std::sync::Arc;
+use std::sync::{Arc, OnceLock};
 
 use nalgebra::{Matrix3, Point3, Vector3};
 
@@ -44,8 +44,25 @@ pub struct SoftBody {
     attachments: Attachments,
     /// For how long it has hardly moved, s.
     still: f64,
-    /// The box around it, while it is asleep.
-    asleep: Option<Aabb>,
+    /// What is known of it while it is asleep.
+    asleep: Option<Asleep>,
+    /// How often its nodes have moved.
+    moves: u64,
+}
+
+/// What does not change of a body that is asleep.
+#[derive(Debug, Clone)]
+struct Asleep {
+    /// The box around it.
+    bounds: Aabb,
+    /// What was done to it where no element is between jaws, once that was asked for.
+    damage: OnceLock<Damage>,
+}
+
+impl Asleep {
+    fn new(lattice: &Lattice) -> Self {
+        Self { bounds: lattice.bounds(), damage: OnceLock::new() }
+    }
 }
 
 impl SoftBody {
@@ -72,7 +89,13 @@ impl SoftBody {
             attachments: Attachments::default(),
             still: 0.0,
             asleep: None,
+            moves: 0,
         }
+    }
+
+    /// How often its nodes have moved: as long as that is the same, it has the same shape.
+    pub fn moves(&self) -> u64 {
+        self.moves
     }
 
     /// Its nodes.
@@ -93,6 +116,7 @@ impl SoftBody {
     /// Puts it somewhere, undeformed, at rest and awake.
     pub fn place(&mut self, world_from_body: &Pose) {
         self.lattice.place(world_from_body);
+        self.moves += 1;
         self.contacts.clear();
         self.detach();
         self.wake();
@@ -101,7 +125,8 @@ impl SoftBody {
     /// Moves it as it is, deformed and asleep or not, by a motion of the world.
     pub fn carry(&mut self, motion: &Pose) {
         self.lattice.carry(motion);
-        self.asleep = self.asleep.map(|_| self.lattice.bounds());
+        self.moves += 1;
+        self.asleep = self.asleep.take().map(|_| Asleep::new(&self.lattice));
         self.contacts.clear();
         self.detach();
     }
@@ -145,6 +170,7 @@ impl SoftBody {
     /// Sets the greatest principal strain that it bears; none, where that is not known.
     pub fn set_ultimate_strain(&mut self, strain: Option<f64>) {
         self.ultimate_strain = strain;
+        self.asleep = self.asleep.take().map(|_| Asleep::new(&self.lattice));
     }
 
     /// Makes its moduli `stiffness` times those of its material, at most as large.
@@ -169,29 +195,39 @@ impl SoftBody {
     /// What was done to its elements. One is between jaws if its middle or a corner is, as `is_between` says: whether a
     /// point is between jaws, or up to a distance (m) from there.
     pub fn damage(&self, is_between: impl Fn(&Point3<f64>, f64) -> bool) -> Damage {
-        let form = self.lattice.form();
         let Some(ultimate) = self.ultimate_strain else { return Damage::default() };
+        let form = self.lattice.form();
         let offsets = form.grid.corner_offsets();
         // The corners of an element that is stretched to twice its length are as near to its middle.
         let near = 2.0 * form.grid.spacing;
+        let bounds = self.bounds();
+        if !is_between(&bounds.centre().into(), 0.5 * bounds.extents().norm() + near) {
+            let find = || self.damage_where(ultimate, |_| false);
+            return self
+                .asleep
+                .as_ref()
+                .map_or_else(find, |asleep| *asleep.damage.get_or_init(find));
+        }
         // Nodes lie outside of the skin, where fingers are that press on it.
         let outside = 0.25 * form.grid.spacing;
-        let is_gripped = |element: usize| {
+        self.damage_where(ultimate, |element| {
             let middle = MaterialPoint { element: element as u32, at: [0.5; 3] };
             let middle = self.lattice.point(&middle);
             let mut corners = offsets.iter().map(|offset| self.lattice.node(element + offset));
             is_between(&middle, near)
                 && (is_between(&middle, outside)
                     || corners.any(|corner| is_between(&corner, outside)))
-        };
-        let bounds = self.bounds();
-        let is_any_near = is_between(&bounds.centre().into(), 0.5 * bounds.extents().norm() + near);
+        })
+    }
+
+    /// What was done to its elements, which bear this strain, where `is_gripped` says which of them are between jaws.
+    fn damage_where(&self, ultimate: f64, is_gripped: impl Fn(usize) -> bool) -> Damage {
         let mut damage = Damage::default();
-        for element in form.elements() {
+        for element in self.lattice.form().elements() {
             // Its eigenvalues are the squares of the principal stretches.
             let gradient = self.lattice.deformation_gradient(element);
             let squares = gradient.tr_mul(&gradient);
-            if is_any_near && is_gripped(element) {
+            if is_gripped(element) {
                 let least = (1.0 - ultimate).max(0.0);
                 let above = squares - Matrix3::identity() * (least * least);
                 damage.gripped += 1;
@@ -208,6 +244,7 @@ impl SoftBody {
 
     /// Lets `seconds` pass beside these rigid bodies, whose fingers `motors` turn in pairs.
     pub(in crate::sim) fn pass(&mut self, seconds: f64, proxies: &mut [Proxy], motors: &[Motor]) {
+        self.moves += 1;
         proxies.iter_mut().for_each(Proxy::settle);
         let reach = (REACH + self.lattice.fastest() * seconds) as f32;
         let Self { lattice, skin, friction, contacts, attachments, .. } = self;
@@ -241,7 +278,7 @@ impl SoftBody {
         self.still = if may_sleep { self.still + seconds } else { 0.0 };
         if self.still > SLEEP_AFTER {
             self.lattice.stop();
-            self.asleep = Some(self.lattice.bounds());
+            self.asleep = Some(Asleep::new(&self.lattice));
         }
     }
 
@@ -357,7 +394,7 @@ impl NonRigid for SoftBody {
     }
 
     fn bounds(&self) -> Aabb {
-        self.asleep.unwrap_or_else(|| self.lattice.bounds())
+        self.asleep.as_ref().map_or_else(|| self.lattice.bounds(), |asleep| asleep.bounds)
     }
 
     fn surface(&self) -> Surface {

@@ -1,8 +1,8 @@
 //! Samples of the skin that may touch a rigid part before a step of the world ends: found once a step.
 //!
 //! What moves meets all samples, [`Skin::fine`]. What stands still is mostly large and flat and meets the vertices,
-//! [`Skin::coarse`]; all samples, where it has an edge or is narrow. What is beside a flat face of it is
-//! [`resting`](super::resting).
+//! [`Skin::coarse`]; all samples, where it has an edge or is narrow. What is beside a flat face of it and counts on few nodes
+//! is [`resting`](super::resting).
 
 use std::iter::Copied;
 use std::slice::Iter;
@@ -46,7 +46,7 @@ pub(super) struct Candidate {
 #[derive(Debug, Default)]
 pub(super) struct Candidates {
     /// Beside flat faces of what stands still in this step.
-    pub resting: Vec<Resting>,
+    pub resting: Resting,
     /// Beside edges and curved faces of it.
     pub fixed: Vec<Candidate>,
     /// Beside what moves.
@@ -112,7 +112,9 @@ fn find(
             let mut add = |index: usize, corners: &Corners, area: f32| {
                 let point = vector(corners.mean(&nodes.places));
                 let Some(gap) = part.gap(&point, reach) else { return };
-                let is_flat = proxy.is_static && part.is_flat_near(&point, 2.0 * reach);
+                let is_resting = proxy.is_static
+                    && Resting::fits(corners)
+                    && part.is_flat_near(&point, 2.0 * reach);
                 let sample = Candidate {
                     key: key | index as u64,
                     proxy: number as u16,
@@ -124,8 +126,8 @@ fn find(
                     pressed: false,
                     clear: 0.0,
                 };
-                if is_flat {
-                    resting.push(Resting::new(sample, &point, &gap.normal, gap.distance));
+                if is_resting {
+                    resting.push(sample, &point, &gap.normal, gap.distance);
                 } else {
                     found.push(sample);
                 }
@@ -142,6 +144,7 @@ fn find(
             }
         }
     }
+    nodes.mark(fixed.iter().chain(&*moving).map(|candidate| &candidate.corners));
 }
 
 /// A box, m from the lattice's origin, axes of the world.

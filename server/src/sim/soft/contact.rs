@@ -25,11 +25,10 @@ use nalgebra::Vector3;
 use wide::f32x4;
 
 use super::candidates::{Candidate, Candidates};
-use super::lanes::with_widest_instructions;
+use super::lanes::{Lanes, with_widest_instructions};
 use super::lattice::Lattice;
 use super::material::Friction;
 use super::proxy::Proxy;
-use super::resting::{self, Resting};
 use super::skin::Skin;
 
 /// How often all contacts with what moves are solved in a substep, at most.
@@ -121,8 +120,8 @@ impl Contacts {
         self.work = WORK.take();
         let mut candidates = std::mem::take(&mut self.work.candidates);
         candidates.find(lattice, skin, friction, proxies, reach);
-        self.warm_up(candidates.resting.iter_mut().map(|each| &mut each.sample));
-        candidates.resting.iter_mut().for_each(Resting::begin);
+        self.warm_up(candidates.resting.candidates_mut());
+        candidates.resting.begin();
         self.warm_up(candidates.fixed.iter_mut());
         self.warm_up(candidates.moving.iter_mut());
         self.work.candidates = candidates;
@@ -143,11 +142,9 @@ impl Contacts {
     pub(super) fn finish(&mut self, proxies: &mut [Proxy], seconds: f64) {
         self.warm.clear();
         let Candidates { resting, fixed, moving, nodes, .. } = &mut self.work.candidates;
-        for each in &mut *resting {
-            each.finish(&nodes.places, proxies);
-        }
+        resting.finish(&nodes.places, proxies);
         note_pressures(moving, proxies, seconds);
-        let resting = resting.iter().map(|each| &each.sample);
+        let resting = resting.candidates();
         for Candidate { key, impulse, .. } in resting.chain(&*fixed).chain(&*moving) {
             if *impulse != Vector3::zeros() {
                 self.warm.push(Warm { key: *key, impulse: *impulse });
@@ -205,7 +202,8 @@ impl Contacts {
     /// How deep samples are in rigid parts, m: that of the deepest.
     pub(super) fn deepest(&self, proxies: &[Proxy]) -> f64 {
         let Candidates { resting, fixed, moving, nodes, .. } = &self.work.candidates;
-        let depths_of_resting = resting.iter().map(|each| f64::from(-each.distance(&nodes.places)));
+        let depths_of_resting =
+            resting.distances(&nodes.places).map(|distance| f64::from(-distance));
         let depths = fixed.iter().chain(moving.iter()).filter_map(|candidate| {
             let part = &proxies[candidate.proxy as usize].parts[candidate.part as usize];
             let point = vector(candidate.corners.mean(&nodes.places));
@@ -219,24 +217,24 @@ impl Contacts {
 fn solve(contacts: &mut Contacts, lattice: &mut Lattice, proxies: &mut [Proxy], seconds: f32) {
     let Work { candidates, fixed, moving } = &mut contacts.work;
     let Candidates { resting, fixed: beside_fixed, moving: beside_moving, nodes, .. } = candidates;
-    let moved = nodes.load(lattice);
-    let (places, velocities) = (&nodes.places, &mut nodes.velocities);
-    detect::<true>(beside_fixed, fixed, places, moved, proxies, seconds);
-    detect::<false>(beside_moving, moving, places, moved, proxies, seconds);
+    let moved = nodes.load_places(lattice);
+    detect::<true>(beside_fixed, fixed, &nodes.places, moved, proxies, seconds);
+    detect::<false>(beside_moving, moving, &nodes.places, moved, proxies, seconds);
     let scale = if contacts.warm_seconds > 0.0 { seconds / contacts.warm_seconds } else { 1.0 };
     contacts.warm_seconds = seconds;
-    for index in resting::order(resting.len()) {
-        resting[index].start(scale, velocities);
-    }
+    resting.start(lattice, scale);
+    nodes.load_velocities(lattice);
+    let velocities = &mut nodes.velocities;
     for contact in &mut *fixed {
         contact.start::<true>(beside_fixed, scale, velocities, proxies);
     }
     for contact in &mut *moving {
         contact.start::<false>(beside_moving, scale, velocities, proxies);
     }
-    for index in resting::order(resting.len()) {
-        resting[index].solve(places, velocities, seconds);
-    }
+    nodes.store_velocities(lattice);
+    resting.solve(lattice, seconds);
+    nodes.load_velocities(lattice);
+    let velocities = &mut nodes.velocities;
     for contact in &mut *fixed {
         contact.solve::<true>(beside_fixed, velocities, proxies);
     }
@@ -257,7 +255,7 @@ fn solve(contacts: &mut Contacts, lattice: &mut Lattice, proxies: &mut [Proxy], 
             break;
         }
     }
-    nodes.store(lattice);
+    nodes.store_velocities(lattice);
     report(beside_fixed, fixed, proxies);
     report(beside_moving, moving, proxies);
 }
@@ -308,12 +306,21 @@ fn combined(columns: &[f32x4; 3], [a, b, c]: [f32; 3]) -> f32x4 {
 
 /// Least velocity along the normal of what is at a `distance` (m, below 0 inside) from a face, m/s.
 #[inline(always)]
-pub(super) fn least_velocity(distance: f32, seconds: f32) -> f32 {
+fn least_velocity(distance: f32, seconds: f32) -> f32 {
     if distance > 0.0 {
         -distance / seconds
     } else {
         (UNDONE * (-distance - SLOP).max(0.0) / seconds).min(RECOVERY)
     }
+}
+
+/// The same of several.
+#[inline(always)]
+pub(super) fn least_velocities<L: Lanes>(distances: L, seconds: f32) -> L {
+    let seconds = L::splat(seconds);
+    let undone = (-distances).plus(-SLOP).max(L::splat(0.0)).times(UNDONE) / seconds;
+    // What is outside undoes nothing.
+    (-distances / seconds).where_positive(distances) + undone.min(L::splat(RECOVERY))
 }
 
 /// Finds the contacts of this substep. `FIXED` says that what candidates are beside stands still; no node has moved by more

@@ -64,6 +64,21 @@ impl Corners {
         self
     }
 
+    /// Its nodes, how much each counts, and that over its mass, 1/kg.
+    pub(super) fn nodes(&self) -> &[u16] {
+        &self.nodes[..self.count as usize]
+    }
+
+    /// See [`Self::nodes`].
+    pub(super) fn weights(&self) -> &[f32] {
+        &self.weights[..self.count as usize]
+    }
+
+    /// See [`Self::nodes`].
+    pub(super) fn mobilities(&self) -> &[f32] {
+        &self.mobilities[..self.count as usize]
+    }
+
     /// Whether the sample is held where it is.
     pub(super) fn is_held(&self) -> bool {
         self.mobility == 0.0
@@ -103,12 +118,15 @@ impl Corners {
     }
 }
 
-/// All nodes of a lattice, as corners need them.
+/// The nodes of a lattice as corners need them: all where a step begins, and those in use in its substeps.
 #[derive(Debug, Default)]
 pub(super) struct Nodes {
     /// Where they are, m from the lattice's origin, and how they move, m/s.
     pub places: Vec<f32x4>,
     pub velocities: Vec<f32x4>,
+    /// Which blocks of nodes are in use, and their numbers.
+    is_in_use: Vec<bool>,
+    in_use: Vec<u16>,
 }
 
 /// Nodes that are taken over together.
@@ -122,47 +140,77 @@ fn blocks(numbers: &[f32]) -> &[[f32; BLOCK]] {
 impl Nodes {
     /// Takes over where a body's nodes are.
     pub(super) fn begin(&mut self, lattice: &Lattice) {
+        let count = blocks(&lattice.x[0]).len();
         for vectors in [&mut self.places, &mut self.velocities] {
-            vectors.clear();
-            vectors.resize(blocks(&lattice.x[0]).len() * BLOCK, f32x4::ZERO);
+            vectors.resize(count * BLOCK, f32x4::ZERO);
         }
-        gather(&lattice.x, &mut self.places, |_, _| {});
+        for block in 0..count {
+            *chunk(&mut self.places, block) = gathered(&lattice.x, block);
+        }
     }
 
-    /// Takes over where they are and how they move. Returns by how much the farthest has moved since that was done before, m.
+    /// Takes note of the nodes that substeps need.
+    pub(super) fn mark<'a>(&mut self, corners: impl Iterator<Item = &'a Corners>) {
+        self.is_in_use.clear();
+        self.is_in_use.resize(self.places.len() / BLOCK, false);
+        for node in corners.flat_map(Corners::nodes) {
+            self.is_in_use[*node as usize / BLOCK] = true;
+        }
+        let blocks = (0_u16..).zip(&self.is_in_use).filter(|(_, is)| **is).map(|(block, _)| block);
+        self.in_use.clear();
+        self.in_use.extend(blocks);
+    }
+
+    /// Takes over where those in use are. Returns by how much the farthest has moved since that was done before, m.
     #[inline(always)]
-    pub(super) fn load(&mut self, lattice: &Lattice) -> f32 {
+    pub(super) fn load_places(&mut self, lattice: &Lattice) -> f32 {
         let mut farthest = f32x4::ZERO;
-        gather(&lattice.v, &mut self.velocities, |_, _| {});
-        gather(&lattice.x, &mut self.places, |before, now| {
-            farthest = farthest.fast_max((now - before).abs());
-        });
+        for block in &self.in_use {
+            let block = *block as usize;
+            let now = gathered(&lattice.x, block);
+            let there = chunk(&mut self.places, block);
+            for (before, now) in there.iter().zip(now) {
+                farthest = farthest.fast_max((now - *before).abs());
+            }
+            *there = now;
+        }
         let [x, y, z, _] = farthest.to_array();
         (x * x + y * y + z * z).sqrt()
     }
 
-    /// Hands back how they move.
+    /// Takes over how those in use move.
     #[inline(always)]
-    pub(super) fn store(&self, lattice: &mut Lattice) {
+    pub(super) fn load_velocities(&mut self, lattice: &Lattice) {
+        for block in &self.in_use {
+            let block = *block as usize;
+            *chunk(&mut self.velocities, block) = gathered(&lattice.v, block);
+        }
+    }
+
+    /// Hands back how those in use move.
+    #[inline(always)]
+    pub(super) fn store_velocities(&self, lattice: &mut Lattice) {
         let [x, y, z] = lattice.v.each_mut().map(|v| v.as_chunks_mut::<BLOCK>().0);
-        let to = x.iter_mut().zip(y).zip(z);
-        for (from, ((x, y), z)) in self.velocities.as_chunks::<BLOCK>().0.iter().zip(to) {
-            let rows = f32x4::transpose(*from);
-            (*x, *y, *z) = (rows[0].to_array(), rows[1].to_array(), rows[2].to_array());
+        let from = self.velocities.as_chunks::<BLOCK>().0;
+        for block in &self.in_use {
+            let block = *block as usize;
+            let rows = f32x4::transpose(from[block]);
+            x[block] = rows[0].to_array();
+            y[block] = rows[1].to_array();
+            z[block] = rows[2].to_array();
         }
     }
 }
 
-/// Puts the vectors of all nodes in the place of those of before, and shows both.
+/// A block of vectors.
 #[inline(always)]
-fn gather([x, y, z]: &[Vec<f32>; 3], to: &mut [f32x4], mut see: impl FnMut(f32x4, f32x4)) {
-    let blocks = blocks(x).iter().zip(blocks(y)).zip(blocks(z));
-    for (to, ((x, y), z)) in to.as_chunks_mut::<BLOCK>().0.iter_mut().zip(blocks) {
-        let rows = [x, y, z].map(|numbers| f32x4::from(*numbers));
-        let now = f32x4::transpose([rows[0], rows[1], rows[2], f32x4::ZERO]);
-        for (before, now) in to.iter().zip(now) {
-            see(*before, now);
-        }
-        *to = now;
-    }
+fn chunk(vectors: &mut [f32x4], block: usize) -> &mut [f32x4; BLOCK] {
+    &mut vectors.as_chunks_mut().0[block]
+}
+
+/// The vectors of the nodes of a block.
+#[inline(always)]
+fn gathered(vectors: &[Vec<f32>; 3], block: usize) -> [f32x4; BLOCK] {
+    let [x, y, z] = vectors.each_ref().map(|numbers| f32x4::from(blocks(numbers)[block]));
+    f32x4::transpose([x, y, z, f32x4::ZERO])
 }

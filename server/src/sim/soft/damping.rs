@@ -48,6 +48,7 @@ pub(super) fn damp(
 }
 
 /// Writes where nodes will be after `lag` (s), as far as they do not move as a rigid body.
+#[inline(always)]
 pub(super) fn look_ahead(
     x: &[Vec<f32>; 3],
     v: &[Vec<f32>; 3],

@@ -25,6 +25,11 @@ pub(super) trait Lanes:
     fn splat(number: f32) -> Self;
     /// The greater of two, which are no NaN.
     fn max(self, other: Self) -> Self;
+    /// The lesser of two, which are no NaN.
+    #[inline(always)]
+    fn min(self, other: Self) -> Self {
+        -(-self).max(-other)
+    }
     fn abs(self) -> Self;
     fn sqrt(self) -> Self;
     /// These numbers where those are above 0, and 0 elsewhere.

@@ -329,24 +329,19 @@ impl Lattice {
     /// or was since the world's last substep began. Steps that followed a vibration would feed it.
     pub fn find_forces(&mut self, gravity: f32, left: f64) -> f32 {
         let lag = (damping::VISCOSITY * self.longest_step()) as f32;
-        // What is held is damped against the world in which it is held.
-        let rigid = (!self.form.has_held_nodes).then(|| Rigid::of(self));
-        damping::look_ahead(&self.x, &self.v, rigid.as_ref(), lag, &mut self.workspace.ahead);
-        self.workspace.rigid = rigid;
+        self.begin_forces(gravity, lag);
         let form = &*self.form;
         let Workspace { forces, ahead, .. } = &mut self.workspace;
-        for force in forces.iter_mut() {
-            force.clear();
-            force.resize(form.mass.len(), 0.0);
-        }
-        let weight = -gravity * GRAVITY as f32;
-        for (force, mass) in forces[2].iter_mut().zip(&form.mass) {
-            *force = weight * mass;
-        }
         let tangent = elasticity::add_forces(form, self.stiffness, ahead, forces);
         self.tangents[1] = self.tangents[1].max(tangent);
         // What is left is shared evenly, however it was rounded.
         (left / (left / self.longest_step() - 1e-6).ceil().max(1.0)) as f32
+    }
+
+    /// Writes where nodes will be after `lag` (s), and their weight with this `gravity`.
+    fn begin_forces(&mut self, gravity: f32, lag: f32) {
+        let lattice = self;
+        with_widest_instructions!(begin_forces(lattice: &mut Lattice, gravity: f32, lag: f32));
     }
 
     /// The longest time step that its elements bear, s.
@@ -432,6 +427,23 @@ impl Lattice {
             });
             signed.sum()
         })
+    }
+}
+
+#[inline(always)]
+fn begin_forces(lattice: &mut Lattice, gravity: f32, lag: f32) {
+    // What is held is damped against the world in which it is held.
+    let rigid = (!lattice.form.has_held_nodes).then(|| Rigid::of(lattice));
+    let Lattice { form, x, v, workspace: Workspace { forces, ahead, rigid: kept }, .. } = lattice;
+    damping::look_ahead(x, v, rigid.as_ref(), lag, ahead);
+    *kept = rigid;
+    for force in forces.iter_mut() {
+        force.clear();
+        force.resize(form.mass.len(), 0.0);
+    }
+    let weight = -gravity * GRAVITY as f32;
+    for (force, mass) in forces[2].iter_mut().zip(&form.mass) {
+        *force = weight * mass;
     }
 }
 
