@@ -231,9 +231,9 @@ impl Row {
     #[inline(always)]
     fn start<L: Lanes>(&mut self, velocities: &mut [Vec<f32>; 3], scale: f32) {
         let mut impulse = [L::splat(0.0); 3];
-        for axis in 0..3 {
-            impulse[axis] = L::new(self.impulse[axis]).times(scale);
-            self.impulse[axis] = impulse[axis].numbers();
+        for (impulse, kept) in impulse.iter_mut().zip(&mut self.impulse) {
+            *impulse = L::new(*kept).times(scale);
+            *kept = impulse.numbers();
         }
         self.push(impulse, velocities);
     }
@@ -281,7 +281,7 @@ fn start_rows(rows: &mut [Row], velocities: &mut [Vec<f32>; 3], scale: f32) {
         rows: &mut [Row],
         velocities: &mut [Vec<f32>; 3],
         scale: f32
-    ) -> ())
+    ) -> ());
 }
 
 #[inline(always)]
@@ -297,7 +297,7 @@ fn solve_rows(rows: &mut [Row], x: &[Vec<f32>; 3], v: &mut [Vec<f32>; 3], second
         x: &[Vec<f32>; 3],
         v: &mut [Vec<f32>; 3],
         seconds: f32
-    ) -> ())
+    ) -> ());
 }
 
 #[inline(always)]
