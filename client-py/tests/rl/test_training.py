@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shlex
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -20,6 +21,7 @@ from trocar.rl import Config, Run, export, load, score, train
 from trocar.rl.__main__ import main
 from trocar.rl.curves import curves, find, plot, write_table
 from trocar.rl.evaluation import wilson
+from trocar.rl.export import card_of
 from trocar.sb3 import make_vec
 
 SMALL: dict[str, Any] = {
@@ -236,6 +238,16 @@ def test_cards_and_pages_say_what_was_measured(
     again = main(["configs", *words[4:6], "--algo", "her", *words[words.index("7") + 1 :]])
     assert again == 0
     assert Config.from_json(capsys.readouterr().out.removeprefix(f"{onnx_file}\n")) == config
+
+    (tmp_path / "policies").mkdir()
+    assert main(["best", str(tmp_path / "runs"), "--out", str(tmp_path / "policies")]) == 0
+    assert card_of(tmp_path / "policies" / f"{config.task}.onnx") == card
+    # A policy that was there before stays on the page.
+    shutil.copy(onnx_file, tmp_path / "policies" / "StaticTrack-v0.onnx")
+    assert main(["best", str(tmp_path / "runs"), "--out", str(tmp_path / "policies")]) == 0
+    rows = (tmp_path / "policies" / "README.md").read_text().splitlines()
+    assert sum(row.startswith("| StaticTrack | her | ") for row in rows) == 1
+    capsys.readouterr()
 
     page = tmp_path / "page" / "RESULTS.md"
     assert main(["report", str(tmp_path), "--out", str(page), "--pictures", str(tmp_path)]) == 0

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from trocar.errors import InvalidOption, NoServer, TrocarError, refuse
+from trocar.registration import TASKS
 from trocar.rl.config import ALGORITHMS, load
 
 EPILOG = """\
@@ -87,7 +88,7 @@ def _parser() -> argparse.ArgumentParser:
         "--card", action="store_true", help="write into the file how well it does, once evaluated"
     )
 
-    best = commands.add_parser("best", help="each task's best policy as ONNX, and a page of them")
+    best = commands.add_parser("best", help="each task's best policy as ONNX, and their page")
     best.set_defaults(run=_best)
     best.add_argument("runs", type=Path, help="folder of runs, which were evaluated")
     best.add_argument("--out", type=Path, default=Path("policies"), help="folder of the files")
@@ -239,14 +240,16 @@ def _export(given: argparse.Namespace) -> None:
 def _best(given: argparse.Namespace) -> None:
     from trocar.rl.cards import best, card, page
     from trocar.rl.curves import find
-    from trocar.rl.export import export
+    from trocar.rl.export import card_of, export
 
-    cards = {}
+    def path(task: str) -> Path:
+        return Path(given.out / f"{task}.onnx")
+
     for run in best(find(given.runs)):
-        config = run.config
-        cards[config.task] = card(run)
-        path = given.out / f"{config.task}.onnx"
-        print(export(run.policy("best"), config, path, cards[config.task]))
+        task = run.config.task
+        print(export(run.policy("best"), run.config, path(task), card(run)))
+    # Tasks without a run keep the policies that are there.
+    cards = {task: card_of(path(task)) for task in TASKS if path(task).exists()}
     (given.out / "README.md").write_text(page(cards))
 
 

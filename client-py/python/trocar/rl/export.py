@@ -59,6 +59,13 @@ class Acting(nn.Module):
         return action.clamp(-1.0, 1.0)
 
 
+def card_of(path: Path) -> dict[str, Any]:
+    """The card that :func:`export` wrote into an ONNX file."""
+    told = {each.key: each.value for each in onnx.load(str(path)).metadata_props}
+    card: dict[str, Any] = json.loads(told["trocar.card"])
+    return card
+
+
 def export(
     model: BaseAlgorithm | Policy,
     config: Config,
