@@ -25,8 +25,8 @@ type Numbers = [f32; LANES];
 pub(super) struct Resting {
     /// In the order of keys.
     samples: Vec<Sample>,
-    /// Their numbers in the order of rows, behind what decides that.
-    order: Vec<u64>,
+    /// In the order of rows: proxy, part, first node and number of each.
+    order: Vec<(u16, u16, u16, u32)>,
     rows: Vec<Row>,
 }
 
@@ -110,16 +110,15 @@ impl Resting {
     pub(super) fn begin(&mut self) {
         let Self { samples, order, rows } = self;
         order.clear();
-        order.extend((0_u64..).zip(&*samples).map(|(number, Sample { candidate, .. })| {
+        order.extend((0..).zip(&*samples).map(|(number, Sample { candidate, .. })| {
             let Candidate { proxy, part, corners, .. } = candidate;
-            let node = corners.nodes().first().copied().unwrap_or_default();
-            u64::from(*proxy) << 48 | u64::from(*part) << 32 | u64::from(node) << 16 | number
+            (*proxy, *part, corners.nodes().first().copied().unwrap_or_default(), number)
         }));
         order.sort_unstable();
         rows.clear();
         let mut before: Option<&Sample> = None;
-        for number in order {
-            let sample = &samples[*number as u16 as usize];
+        for (.., number) in order {
+            let sample = &samples[*number as usize];
             match rows.last_mut() {
                 Some(row) if before.is_some_and(|before| row.goes_on(before, sample)) => {
                     row.add(sample);
@@ -144,10 +143,10 @@ impl Resting {
 
     /// Ends a step: keeps what the next begins with, and tells what has faces what was done to it.
     pub(super) fn finish(&mut self, places: &[f32x4], proxies: &mut [Proxy]) {
-        let mut numbers = self.order.iter();
+        let mut order = self.order.iter();
         for row in &self.rows {
-            for (lane, number) in numbers.by_ref().take(row.count).enumerate() {
-                let candidate = &mut self.samples[*number as u16 as usize].candidate;
+            for (lane, (.., number)) in order.by_ref().take(row.count).enumerate() {
+                let candidate = &mut self.samples[*number as usize].candidate;
                 let at = |numbers: [Numbers; 3]| Vector3::from(numbers.map(|each| each[lane]));
                 candidate.impulse = at(row.impulse);
                 if row.pressing[lane] != 0.0 {
