@@ -152,13 +152,14 @@ class Psm:
         return np.array(self._arm.read(topic).position), 0.0
 
     def setpoint_jp(self) -> tuple[Any, float]:
-        return self._joints("setpoint_js")
+        # From where a script moves on: topics have no order, so the latest may be of the move before.
+        return np.array(self._arm.fresh("setpoint_js").position), 0.0
 
     def measured_jp(self) -> tuple[Any, float]:
         return self._joints("measured_js")
 
     def setpoint_cp(self) -> tuple[Any, float]:
-        return frame_of(self._arm.read("setpoint_cp")), 0.0
+        return frame_of(self._arm.fresh("setpoint_cp")), 0.0
 
     def measured_cp(self) -> tuple[Any, float]:
         return frame_of(self._arm.read("measured_cp")), 0.0
