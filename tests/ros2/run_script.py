@@ -152,7 +152,7 @@ class Psm:
         return np.array(self._arm.read(topic).position), 0.0
 
     def setpoint_jp(self) -> tuple[Any, float]:
-        # From where a script moves on: topics have no order, so the latest may be of the move before.
+        # A script moves on from there. Topics have no order: the latest may be of the move before.
         return np.array(self._arm.fresh("setpoint_js").position), 0.0
 
     def measured_jp(self) -> tuple[Any, float]:
