@@ -38,9 +38,22 @@ Means over seeds, and standard deviations of the sample; in brackets, how many s
 
 """
 
+ABLATED = """
+
+## What settings are worth
+
+Runs of one seed that differ from the first in the setting that they name. None of them is in the
+figures.
+
+"""
+ABLATIONS = "ablations"
+"""The folder of such runs."""
+
 
 def write(runs: list[Run], folder: Path, page: Path, pictures: Path) -> None:
     """Writes the page, and its figures ``learning.png`` and ``minutes.png`` with their numbers."""
+    ablations = [run for run in runs if ABLATIONS in run.path.relative_to(folder).parts]
+    runs = [run for run in runs if run not in ablations]
     made = curves(runs)
     plot(made, pictures / "learning.png")
     plot(made, pictures / "minutes.png", minutes=True)
@@ -53,22 +66,25 @@ def write(runs: list[Run], folder: Path, page: Path, pictures: Path) -> None:
             ("learning.png", "Success over epochs"),
         )
     )
-    page.write_text(HEAD.format(folder=folder) + text(runs) + figures)
+    told = HEAD.format(folder=folder) + _table(runs)
+    tested = [told for run in runs for told in _tested(run)]
+    if tested:
+        told += TESTED + markdown(tested)
+    told += "\n" + figures
+    if ablations:
+        told += ABLATED + _table(ablations) + "\n"
+    page.write_text(told)
 
 
-def text(runs: list[Run]) -> str:
-    """The tables of runs, in Markdown."""
+def _table(runs: list[Run]) -> str:
+    """Runs, in Markdown: a row for each task and configuration."""
     groups: defaultdict[tuple[str, str], list[Run]] = defaultdict(list)
     for run in sorted(runs, key=_place):
         groups[run.config.task, label(run.config)].append(run)
     header = ["task", "algorithm", "seeds", "evaluated", "mean", "late fall", "trainer"]
     lines = [[*header, "server", "wall"], ["---"] * 9]
     lines += [_row(task, name, members) for (task, name), members in groups.items()]
-    told = "\n".join(f"| {' | '.join(line)} |" for line in lines)
-    tested = [told for run in runs for told in _tested(run)]
-    if tested:
-        told += TESTED + markdown(tested)
-    return told + "\n"
+    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
 
 
 def _place(run: Run) -> tuple[int, int, str, int]:
