@@ -17,6 +17,7 @@ from onnx.reference import ReferenceEvaluator
 
 import trocar
 from trocar.demos import record
+from trocar.errors import InvalidRequest
 from trocar.rl import Config, Run, export, load, score, train
 from trocar.rl.__main__ import main
 from trocar.rl.curves import curves, find, plot, write_table
@@ -247,11 +248,19 @@ def test_cards_and_pages_say_what_was_measured(
     assert main(["best", str(tmp_path / "runs"), "--out", str(tmp_path / "policies")]) == 0
     rows = (tmp_path / "policies" / "README.md").read_text().splitlines()
     assert sum(row.startswith("| StaticTrack | her | ") for row in rows) == 1
+    assert main(["export", str(run.path), "--out", str(onnx_file)]) == 0
+    with pytest.raises(InvalidRequest, match="expected a policy with a card"):
+        card_of(Path(onnx_file))
     capsys.readouterr()
 
+    ablation = tmp_path / "ablations" / "wide" / "seed-7"
+    shutil.copytree(run.path, ablation)
+    (ablation / "config.json").write_text(config.but(hidden=(512,)).to_json())
     page = tmp_path / "page" / "RESULTS.md"
     assert main(["report", str(tmp_path), "--out", str(page), "--pictures", str(tmp_path)]) == 0
-    text = page.read_text()
+    text, ablations = page.read_text().split("## What settings are worth")
+    assert "hidden=[512]" in ablations
+    assert "hidden=[512]" not in text
     assert f"| {100 * said[0]['success_rate']:.1f} |" in text
     assert "twice the rate" in text
     assert "(../minutes.png)" in text

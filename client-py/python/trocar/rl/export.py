@@ -13,6 +13,7 @@ from stable_baselines3.common.base_class import BaseAlgorithm
 from torch import nn
 
 import trocar
+from trocar.errors import InvalidRequest, refuse
 from trocar.rl.algorithms import AveragedPolicy
 from trocar.rl.config import Config
 from trocar.rl.features import CONTACT, STATE, Inputs
@@ -60,8 +61,15 @@ class Acting(nn.Module):
 
 
 def card_of(path: Path) -> dict[str, Any]:
-    """The card that :func:`export` wrote into an ONNX file."""
+    """The card that :func:`export` wrote into an ONNX file.
+
+    Raises:
+        ValueError: It has none.
+    """
     told = {each.key: each.value for each in onnx.load(str(path)).metadata_props}
+    if "trocar.card" not in told:
+        allowed = "expected a policy with a card: python -m trocar.rl export RUN --card"
+        raise refuse(InvalidRequest, "policy", str(path), allowed)
     card: dict[str, Any] = json.loads(told["trocar.card"])
     return card
 
