@@ -39,11 +39,9 @@ Means over seeds, and standard deviations of the sample; in brackets, how many s
 """
 
 ABLATED = """
-
 ## What settings are worth
 
-Runs of one seed that differ from the first in the setting that they name. None of them is in the
-figures.
+Shorter runs that differ in the settings that they name. The figures do not show them.
 
 """
 ABLATIONS = "ablations"
