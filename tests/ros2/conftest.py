@@ -15,6 +15,9 @@ from crtk_client import Arm, Ros
 
 BINARY = os.environ["TROCAR_DVRK"]
 
+IS_SOAK = bool(os.environ.get("TROCAR_SOAK"))
+"""Whether real time is judged: only where the machine has nothing else to do."""
+
 _domains = itertools.count(1)
 
 

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from conftest import Start
+from conftest import IS_SOAK, Start
 from std_msgs.msg import Float64MultiArray
 
 HERE = Path(__file__).parent
@@ -21,7 +21,7 @@ RUNNER = (
     "--pictures endoscope:pictures --stale 2 --json"
 )
 
-SEEDS = range(50 if os.environ.get("TROCAR_SOAK") else 2)
+SEEDS = range(50 if IS_SOAK else 2)
 
 IMAGE, ANGLE = 0.03, 0.1
 """How far off the target may be in the end: in halves of the picture's height, and in rad."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import os
 import statistics
 import subprocess
 import sys
@@ -13,13 +12,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from conftest import Start
+from conftest import IS_SOAK, Start
 from crtk_client import Arm, Ros, seconds
 from stream import sent
 
 Record = Callable[[str, object], None]
-
-IS_SOAK = bool(os.environ.get("TROCAR_SOAK"))
 
 SECONDS = 600.0 if IS_SOAK else 5.0
 

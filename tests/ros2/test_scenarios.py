@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import itertools
 import math
+import statistics
 import time
 from collections.abc import Callable
 from typing import Any
 
 import pytest
-from conftest import Start
+from conftest import IS_SOAK, Start
 from crtk_client import Arm, seconds
 from geometry_msgs.msg import Pose
 from std_msgs.msg import Float64
@@ -17,7 +18,7 @@ from std_msgs.msg import Float64
 ZERO = [0.0, 0.0, 0.12, 0.0, 0.0, 0.0]
 DEGREE = math.pi / 180.0
 
-LATE = 10.0
+LATE = 1.5 if IS_SOAK else 10.0
 """How much later than the robot a move may end on a machine that does other things, s."""
 
 Record = Callable[[str, object], None]
@@ -159,6 +160,7 @@ def test_a7_servoed_poses_are_followed_on_a_diagonal(homed: Arm, record_property
 
     stream(step)
     # What a script sees is as old as its latest message.
+    assert not IS_SOAK or statistics.median(furthest) < 2e-3
     record_property(
         "figure", f"A7: the set-point was at most {1e3 * max(furthest):.2f} mm away (robot: 2 mm)"
     )

@@ -44,6 +44,7 @@ ABLATED = """
 Shorter runs that differ in the settings that they name. The figures do not show them.
 
 """
+
 ABLATIONS = "ablations"
 """The folder of such runs."""
 
