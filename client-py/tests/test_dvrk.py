@@ -253,6 +253,8 @@ def test_a_script_that_starts_late_finds_its_way(server: str, world: dvrk.World)
         with pytest.raises(ArmIsDriven, match="PSM1"):
             arm.home(1)
         first.close()
+        # Of the arm's driver, `late` knows what its last look told.
+        late.look()
         deadline = time.monotonic() + 30.0
         while late.live.status("PSM1")[1] != 0:
             assert time.monotonic() < deadline
