@@ -256,13 +256,16 @@ def test_cards_and_pages_say_what_was_measured(
     ablation = tmp_path / "ablations" / "wide" / "seed-7"
     shutil.copytree(run.path, ablation)
     (ablation / "config.json").write_text(config.but(hidden=(512,)).to_json())
+    assert main(["evaluate", str(run.path), "--episodes", "4", "--option", "rate=20"]) == 0
     page = tmp_path / "page" / "RESULTS.md"
     assert main(["report", str(tmp_path), "--out", str(page), "--pictures", str(tmp_path)]) == 0
     text, ablations = page.read_text().split("## What settings are worth")
     assert "hidden=[512]" in ablations
     assert "hidden=[512]" not in text
     assert f"| {100 * said[0]['success_rate']:.1f} |" in text
-    assert "twice the rate" in text
+    named, others = text.split("## Under other options")
+    assert "| twice the rate |" in named
+    assert "| rate=20 spawn=narrow |" in others
     assert "(../minutes.png)" in text
     assert all((tmp_path / name).stat().st_size > 0 for name in ("minutes.png", "learning.png"))
 

@@ -37,11 +37,19 @@ TESTED = """
 Means over seeds, and standard deviations of the sample; in brackets, how many seeds.
 
 """
+OTHER_OPTIONS = """
+
+## Under other options
+
+The same for policies that were evaluated with `--option`.
+
+"""
 
 ABLATED = """
 ## What settings are worth
 
-Shorter runs that differ in the settings that they name. The figures do not show them.
+Runs that differ in the settings that they name, most of them shorter. The figures do not show
+them.
 
 """
 
@@ -66,9 +74,9 @@ def write(runs: list[Run], folder: Path, page: Path, pictures: Path) -> None:
         )
     )
     told = HEAD.format(folder=folder) + _table(runs)
-    tested = [told for run in runs for told in _tested(run)]
-    if tested:
-        told += TESTED + markdown(tested)
+    for heading, is_named in ((TESTED, True), (OTHER_OPTIONS, False)):
+        if tested := [row for run in runs for row in _tested(run, is_named)]:
+            told += heading + markdown(tested)
     told += "\n" + figures
     if ablations:
         told += ABLATED + _table(ablations) + "\n"
@@ -130,9 +138,10 @@ def _result(run: Run) -> float | None:
     return None
 
 
-def _tested(run: Run) -> list[dict[str, Any]]:
-    """Evaluations of a run that was tested in other conditions, too."""
+def _tested(run: Run, is_named: bool) -> list[dict[str, Any]]:
+    """Evaluations of a run in other conditions, with that as trained; or under other options."""
     found = [told for told in run.evaluations() if told["policy"] == "best"]
+    found = [told for told in found if (told["condition"] is not None) == is_named]
     return found if any(told["condition"] != AS_TRAINED for told in found) else []
 
 
