@@ -140,8 +140,11 @@ def _result(run: Run) -> float | None:
 
 def _tested(run: Run, is_named: bool) -> list[dict[str, Any]]:
     """Evaluations of a run in other conditions, with that as trained; or under other options."""
-    found = [told for told in run.evaluations() if told["policy"] == "best"]
-    found = [told for told in found if (told["condition"] is not None) == is_named]
+    found = [
+        told
+        for told in run.evaluations()
+        if told["policy"] == "best" and (told["condition"] is not None) == is_named
+    ]
     return found if any(told["condition"] != AS_TRAINED for told in found) else []
 
 
