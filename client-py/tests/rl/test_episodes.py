@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 import pytest
@@ -59,8 +60,8 @@ def test_episodes_end_by_themselves(server: str) -> None:
         assert not played.success[episode, : length - 1].any()
         assert played.terminated[episode].sum() == 1
     drawn = played.sample(500, 0.0, ends, np.random.default_rng(0))
-    assert np.array_equal(drawn.goes_on == 0, drawn.reward == 0)
-    assert 0 < (drawn.goes_on == 0).sum() < 200
+    assert np.array_equal(drawn.discount == 0, drawn.reward == 0)
+    assert 0 < (drawn.discount == 0).sum() < 200
     ends.close()
 
 
@@ -81,9 +82,43 @@ def test_goals_are_reached_later_in_the_same_episode(envs: TrocarVectorEnv) -> N
     assert 0.55 < changed / 3000 < 0.65
     assert (drawn.reward == envs.compute_reward(drawn.next_achieved, drawn.desired)).all()
     assert {*drawn.reward.tolist()} == {-1.0, 0.0}
-    assert (drawn.goes_on == 1).all()
+    assert (drawn.discount == 1).all()
     plain = played.sample(500, 0.0, envs, random)
     assert (plain.reward == envs.compute_reward(plain.next_achieved, plain.desired)).all()
+
+
+@pytest.mark.parametrize("terminate", ["", "success"])
+def test_several_steps_count_until_the_episode_ends(terminate: str, server: str) -> None:
+    options: dict[str, Any] = {"terminate": terminate} if terminate else {}
+    envs = TrocarVectorEnv(
+        TASK, 4, server=server, autoreset_mode="disabled", expert=True, **options
+    )
+    random = np.random.default_rng(1)
+
+    def act(seen: Seen) -> np.ndarray[tuple[int, ...], np.dtype[np.float32]]:
+        """The expert's actions, disturbed so that none is there twice."""
+        return (as_expert(seen) + random.normal(0.0, 0.1, (len(seen.envs), 5))).astype(np.float32)
+
+    played = play(envs, act, SEEDS)
+    drawn = played.sample(1000, 0.5, envs, random, gamma=0.5, n_steps=3)
+    fewer = 0
+    for row in range(1000):
+        ((episode, time),) = np.argwhere((played.action == drawn.action[row]).all(axis=2))
+        total, discount = 0.0, 1.0
+        for step in range(time, min(time + 3, played.length[episode])):
+            reached = played.achieved[episode, step + 1]
+            reward = float(envs.compute_reward(reached, drawn.desired[row]))
+            total, discount = total + discount * reward, 0.5 * discount
+            if terminate and reward == 0.0:
+                discount = 0.0
+                break
+        fewer += step < time + 2
+        assert drawn.reward[row] == total
+        assert drawn.discount[row] == discount
+        assert (drawn.next_observation[row] == played.observation[episode, step + 1]).all()
+        assert (drawn.next_achieved[row] == played.achieved[episode, step + 1]).all()
+    assert 20 < fewer < 500
+    envs.close()
 
 
 def test_the_latest_episodes_stay_and_every_step_is_as_likely(envs: TrocarVectorEnv) -> None:

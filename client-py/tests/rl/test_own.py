@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from itertools import combinations
 from pathlib import Path
 from typing import Any
 
@@ -77,12 +78,15 @@ def rates(critics: Critics, *slopes: float) -> None:
     critics.each = torch.nn.ModuleList(map(Slope, slopes))
 
 
-def batch(actions: list[float], rewards: list[float], goes_on: list[float], shown: int) -> Batch:
+def batch(actions: list[float], rewards: list[float], discount: list[float], shown: int) -> Batch:
     features = torch.zeros(len(actions), FEATURES)
     column = torch.tensor(actions)[:, None]
-    rest = torch.tensor(rewards), features, torch.tensor(goes_on)
+    rest = torch.tensor(rewards), features, torch.tensor(discount)
     return Batch(features, column, column, *rest, shown)
 
+
+BOTH = [0, 1]
+"""Critics that rate."""
 
 FEATURES = 10
 """Of the fixture's inputs: state and desired goal of MisOrient."""
@@ -104,14 +108,32 @@ def test_targets_are_the_least_of_possible_returns(raw: Td3Demo) -> None:
     acts(raw.target, 0.8)
     rates(raw.critics, 1.0, 0.0)
     rates(raw.target_critics, 1.0, 2.0)
-    cases = batch([0.0, 0.0, 0.5], [-1.0, -1.0, 0.0], [1.0, 0.0, 1.0], 0)
+    cases = batch([0.0, 0.0, 0.5], [-1.0, -1.0, 0.0], [0.5, 0.0, 0.5], 0)
     # Targets: -1 + 0.5 · 0.8, -1 at the end, and 0, since 0.4 is above what is possible.
-    loss, values = raw.critic_loss(cases)
+    loss, values = raw.critic_loss(cases, BOTH)
     assert loss.item() == pytest.approx((2 * 0.6**2 + 2 * 1 + 0.5**2) / 3, rel=1e-5)
     assert values.tolist() == pytest.approx([0.0, 0.0, 0.0])
     rates(raw.target_critics, 1.0, -50.0)
-    loss, _ = raw.critic_loss(cases)
+    loss, _ = raw.critic_loss(cases, BOTH)
     assert loss.item() == pytest.approx((2 * 4 + 2 * 1 + 2.5**2 + 4) / 3, rel=1e-5)
+
+
+def test_two_of_many_critics_rate_a_batch(raw: Td3Demo) -> None:
+    object.__setattr__(raw.config, "critics", 4)
+    acts(raw.target, 0.8)
+    acts(raw.policy, 0.4)
+    rates(raw.critics, 0.0, 1.0, 2.0, 3.0)
+    rates(raw.target_critics, 0.0, -1.0, -2.0, 1.0)
+    cases = batch([0.5], [-1.0], [0.5], 0)
+    # Targets of two: -1 + 0.5 · (-1.6), and -1 + 0.5 · (-0.8). All are trained towards them.
+    for pair, target, value in ([2, 3], -1.8, 1.0), ([1, 3], -1.4, 0.5):
+        loss, values = raw.critic_loss(cases, pair)
+        off = [(0.5 * slope - target) ** 2 for slope in range(4)]
+        assert loss.item() == pytest.approx(sum(off), rel=1e-5)
+        assert values.tolist() == pytest.approx([value])
+        assert raw.policy_loss(cases, values, 1.0, pair)[0].item() == pytest.approx(-0.4 * pair[0])
+    drawn = {tuple(sorted(raw._pair())) for _ in range(200)}
+    assert drawn == set(combinations(range(4), 2))
 
 
 def test_targets_are_smoothed(raw: Td3Demo) -> None:
@@ -119,8 +141,8 @@ def test_targets_are_smoothed(raw: Td3Demo) -> None:
     acts(raw.target, 0.0)
     rates(raw.critics, 0.0, 0.0)
     rates(raw.target_critics, 1.0, 1.0)
-    many = batch([0.0] * 4000, [-1.0] * 4000, [1.0] * 4000, 0)
-    loss, _ = raw.critic_loss(many)
+    many = batch([0.0] * 4000, [-1.0] * 4000, [0.5] * 4000, 0)
+    loss, _ = raw.critic_loss(many, BOTH)
     # The mean square of -1 + 0.5 · noise is 1.008 or a little more, give or take 0.003.
     assert 1.003 < loss.item() / 2 < 1.016
 
@@ -132,9 +154,9 @@ def test_only_actions_that_are_rated_higher_are_cloned(raw: Td3Demo, q_filter: b
     rates(raw.critics, 1.0, 2.0)
     shown = [0.5, 0.9, 0.2, -0.7]
     cases = batch([*shown, 0.1, 0.1], [-1.0] * 6, [1.0] * 6, 4)
-    _, values = raw.critic_loss(cases)
+    _, values = raw.critic_loss(cases, BOTH)
     assert values.tolist() == pytest.approx([0.5, 0.9, 0.2, -1.4, 0.1, 0.1])
-    loss, clone, passed = raw.policy_loss(cases, values, 0.5)
+    loss, clone, passed = raw.policy_loss(cases, values, 0.5, BOTH)
     passing = shown[:2] if q_filter else shown
     wanted = sum(abs(0.3 - action) for action in passing) / 4
     assert clone.item() == pytest.approx(wanted, rel=1e-4)
@@ -191,6 +213,30 @@ def test_half_of_a_batch_is_shown(learner: Td3Demo) -> None:
     own = [action.numpy().tobytes() in shown for action in drawn.action]
     assert own[:4] == [True] * 4
     assert not all(own[4:])
+
+
+def test_what_succeeds_becomes_a_demonstration(server: str) -> None:
+    few = {"demos": 5, "demo_batch": 64, "clone_updates": 500, "own_demos": True, "updates": 1}
+    chosen = config("td3-demo", **few, noise=0.3)
+    shown = expert(chosen, server)
+    mine, other = (make_learner(chosen, shown, 0, server=server) for _ in range(2))
+    assert isinstance(mine, Td3Demo)
+    assert isinstance(other, Td3Demo)
+    assert mine.demos is not None
+    assert other.demos is not None
+    mine.begin(lambda _: None)
+    mine.learn(lambda _: None)
+    succeeded = mine.replay.succeeded
+    assert 0 < succeeded.sum() < 20
+    seeds = [*shown.seed.tolist(), *mine.replay.seed[:20][succeeded].tolist()]
+    assert mine.demos.seed[: len(mine.demos)].tolist() == seeds
+    assert len(shown) == 5
+    other.go_on(mine.state())
+    assert len(other.demos) == len(seeds)
+    assert torch.equal(mine.batch().features, other.batch().features)
+    assert torch.equal(mine.batch().reward, other.batch().reward)
+    mine.close()
+    other.close()
 
 
 def test_cloning_learns_from_demonstrations_alone(tmp_path: Path, server: str) -> None:

@@ -52,8 +52,10 @@ _PARTS = {
         "policy_every",
         "averaging",
         "critic_updates",
+        "critics",
+        "n_steps",
     ),
-    ("td3-demo",): ("demo_hindsight",),
+    ("td3-demo",): ("demo_hindsight", "own_demos"),
     _CLONING: ("clone_updates", "clone_rate", "demo_noise"),
     ("ppo",): ("passes", "gae_lambda", "clip_range"),
 }
@@ -163,6 +165,13 @@ class Config:
     """Part by which the average of the policy, which is scored, moves with each of its updates."""
     critic_updates: int = 0
     """Updates of the critics before the first episode is played."""
+    critics: int = 2
+    """How many there are. Two, drawn anew for each batch, rate it. Source: Chen et al., Randomized
+    Ensembled Double Q-Learning, ICLR 2021."""
+    n_steps: int = 1
+    """Steps whose rewards make a critic's target, before its own value of what follows."""
+    own_demos: bool = False
+    """Whether episodes of its own that succeed become demonstrations."""
     clone_updates: int = 0
     """Gradient steps of cloning: before the first epoch, and with DAgger in each."""
     clone_rate: float = 1e-3
@@ -356,6 +365,8 @@ def _check_own(config: Config, check: Check) -> None:
         _check_demos(config, check)
     if config.algo == "td3-her":
         check(config.learning_starts >= 1, "learning_starts", "allowed are numbers from 1 on")
+    check(config.critics >= 2, "critics", "allowed are numbers from 2 on")
+    check(config.n_steps >= 1, "n_steps", "allowed are numbers from 1 on")
     for name in ("hindsight", "demo_hindsight", "averaging", "tau"):
         check(0.0 <= getattr(config, name) <= 1.0, name, "allowed are numbers from 0 to 1")
     if config.task == "ActiveTrack-v0":

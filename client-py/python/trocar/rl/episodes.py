@@ -38,10 +38,13 @@ class Transitions(NamedTuple):
     action: NDArray[np.float32]
     label: NDArray[np.float32]
     reward: NDArray[np.float32]
+    """Discounted sum of the step's and of those after it that count."""
     next_observation: NDArray[np.float32]
+    """After the last step that counts; so is ``next_achieved``."""
     next_achieved: NDArray[np.float32]
-    goes_on: NDArray[np.float32]
-    """0 where the step ended in a terminal state; a time limit is none."""
+    discount: NDArray[np.float32]
+    """Of what is there: gamma, to the power of how many steps count; 0 where the last of them ended
+    in a terminal state. A time limit is none."""
 
     @staticmethod
     def joined(parts: Sequence[Transitions]) -> Transitions:
@@ -136,7 +139,14 @@ class Episodes:
         return episode, np.arange(self.steps) - begins[episode]
 
     def sample(
-        self, rows: int, hindsight: float, goals: Any, random: np.random.Generator
+        self,
+        rows: int,
+        hindsight: float,
+        goals: Any,
+        random: np.random.Generator,
+        *,
+        gamma: float = 1.0,
+        n_steps: int = 1,
     ) -> Transitions:
         """Draws steps, each as likely as any other.
 
@@ -146,32 +156,42 @@ class Episodes:
                 "future": Andrychowicz et al., Hindsight Experience Replay, 2017).
             goals: Environments of the task, which say what rewards are.
             random: What decides.
+            gamma: Discount of a step.
+            n_steps: How many steps' rewards count; fewer where the episode ends before.
         """
         step = random.integers(self._ends[-1], size=rows)
         episode = np.searchsorted(self._ends, step, side="right")
         time = step - self._ends[episode] + self.length[episode]
+        left = self.length[episode] - time
+        # Steps that may count, of shape (rows, n_steps); beyond the end they repeat the last.
+        ahead = np.arange(n_steps)
+        each = episode[:, None], time[:, None] + np.minimum(ahead, left[:, None] - 1)
         desired = self.desired[episode]
-        reward = self.reward[episode, time]
-        terminated = self.terminated[episode, time]
-        reached = self.achieved[episode, time + 1]
+        reward, terminated = self.reward[each], self.terminated[each]
         (changed,) = np.nonzero(random.random(rows) < hindsight)
         if changed.size:
-            left = self.length[episode[changed]] - time[changed]
-            later = time[changed] + 1 + random.integers(left)
+            later = time[changed] + 1 + random.integers(left[changed])
             desired[changed] = self.achieved[episode[changed], later]
-            both = reached[changed], desired[changed]
-            reward[changed] = goals.compute_reward(*both)
-            terminated[changed] = goals.compute_terminated(*both)
+            reached = self.achieved[each[0][changed], each[1][changed] + 1]
+            both = _rows(reached), desired[changed].repeat(n_steps, 0)
+            shape = reward[changed].shape
+            reward[changed] = goals.compute_reward(*both).reshape(shape)
+            terminated[changed] = goals.compute_terminated(*both).reshape(shape)
+        ended = terminated.cumsum(1) > terminated
+        counts = (ahead < left[:, None]) & ~ended
+        last = counts.sum(1) - 1
+        powers = np.float32(gamma) ** np.arange(n_steps + 1, dtype=np.float32)
+        goes_on = ~terminated[np.arange(rows), last]
         return Transitions(
             self.observation[episode, time],
             self.achieved[episode, time],
             desired,
             self.action[episode, time],
             self.label[episode, time],
-            reward,
-            self.observation[episode, time + 1],
-            reached,
-            1 - terminated.astype(np.float32),
+            (reward * counts * powers[:-1]).sum(1),
+            self.observation[episode, time + last + 1],
+            self.achieved[episode, time + last + 1],
+            powers[last + 1] * goes_on,
         )
 
     def state(self) -> dict[str, Any]:
@@ -234,6 +254,11 @@ def play(
         seen = Seen(running, (left[0], left[1], left[2]), infos)
     played._ends = played.length.cumsum()
     return played
+
+
+def _rows(arrays: NDArray[Any]) -> NDArray[Any]:
+    """Without the first of two dimensions of rows."""
+    return arrays.reshape(-1, arrays.shape[-1])
 
 
 def _arrays(seen: Any) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:

@@ -17,7 +17,8 @@ from trocar.rl.imitation import clone, labelled
 from trocar.rl.learner import Live, Own
 from trocar.rl.networks import Critics, Policy
 
-CRITICS = 2
+PAIR = 2
+"""How many of the critics rate a batch: the lower value counts."""
 
 
 class Batch(NamedTuple):
@@ -28,7 +29,7 @@ class Batch(NamedTuple):
     label: torch.Tensor
     reward: torch.Tensor
     next_features: torch.Tensor
-    goes_on: torch.Tensor
+    discount: torch.Tensor
     shown: int
 
 
@@ -38,8 +39,8 @@ class Td3Demo(Own):
     The policy first clones the demonstrations. Then it improves by the critics' gradient, and goes
     on imitating demonstrated actions where the critics rate them above its own (Q-filter). A part
     of each batch is from demonstrations. Critics are trained alone for some time before the policy
-    follows them. A moving average of the policy is scored. Batches are learnt from while the
-    server simulates the next step.
+    follows them. Of more than two critics, two are drawn for each batch. A moving average of the
+    policy is scored. Batches are learnt from while the server simulates the next step.
 
     Sources: Fujimoto et al., Addressing Function Approximation Error in Actor-Critic Methods, ICML
     2018; Nair et al., Overcoming Exploration with Demonstrations, ICRA 2018; Ball et al., Efficient
@@ -63,10 +64,14 @@ class Td3Demo(Own):
         self.bounds = {"sparse": (low, 0.0), "dense": (-np.inf, 0.0)}.get(
             spec.reward, (-np.inf, np.inf)
         )
-        room = config.epochs * config.epoch_episodes + config.learning_starts // spec.max_steps + 1
+        played = config.epochs * config.epoch_episodes
+        if self.demos is not None and config.own_demos:
+            given, self.demos = self.demos, Episodes(spec, len(self.demos) + played)
+            self.demos.add(given)
+        room = played + config.learning_starts // spec.max_steps + 1
         self.replay = Episodes(spec, min(room, max(1, config.buffer_size // spec.max_steps)))
         first = 0.3 * low if spec.reward == "sparse" else 0.0
-        self.critics = Critics(self.policy, config.hidden, CRITICS, first)
+        self.critics = Critics(self.policy, config.hidden, config.critics, first)
         self._copy()
         self._optimise()
 
@@ -115,7 +120,10 @@ class Td3Demo(Own):
             # One for the episode of each environment, so that some hardly stray and others do.
             noise = 2 * self.config.noise * self.random.random((self.config.envs, 1))
             act, meanwhile = partial(self._explore, noise), partial(self._train, self.weight())
-            self.replay.add(self.play(act, meanwhile))
+            played = self.play(act, meanwhile)
+            self.replay.add(played)
+            if self.demos is not None and self.config.own_demos:
+                self.demos.add(played, played.succeeded)
             live((number + 1) / rounds)
 
     def weight(self) -> float:
@@ -149,15 +157,21 @@ class Td3Demo(Own):
         config, parts, shown = self.config, [], 0
         if self.demos is not None:
             shown = config.demo_batch if len(self.replay) else config.batch_size
-            parts.append(self.demos.sample(shown, config.demo_hindsight, self.envs, self.random))
+            parts.append(self._sample(self.demos, shown, config.demo_hindsight))
         if shown < config.batch_size:
             rows = config.batch_size - shown
-            parts.append(self.replay.sample(rows, config.hindsight, self.envs, self.random))
+            parts.append(self._sample(self.replay, rows, config.hindsight))
         drawn = Transitions.joined(parts)
         features, next_features = self._features(drawn)
-        rest = (drawn.action, drawn.label, drawn.reward, drawn.goes_on)
-        action, label, reward, goes_on = map(torch.from_numpy, rest)
-        return Batch(features, action, label, reward, next_features, goes_on, shown)
+        rest = (drawn.action, drawn.label, drawn.reward, drawn.discount)
+        action, label, reward, discount = map(torch.from_numpy, rest)
+        return Batch(features, action, label, reward, next_features, discount, shown)
+
+    def _sample(self, episodes: Episodes, rows: int, hindsight: float) -> Transitions:
+        config = self.config
+        return episodes.sample(
+            rows, hindsight, self.envs, self.random, gamma=config.gamma, n_steps=config.n_steps
+        )
 
     def _features(self, drawn: Transitions) -> tuple[torch.Tensor, torch.Tensor]:
         """Before and after each step, computed in one call."""
@@ -173,14 +187,15 @@ class Td3Demo(Own):
         """Trains critics on a batch, and every so many times the policy, unless ``weight`` is 0."""
         self.updates += 1
         batch = self.batch()
-        loss, values = self.critic_loss(batch)
+        pair = self._pair()
+        loss, values = self.critic_loss(batch, pair)
         self.critic_optimizer.zero_grad()
         loss.backward()  # type: ignore[no-untyped-call]
         self.critic_optimizer.step()
         _follow(self.target_critics, self.critics, self.config.tau)
         self.note(critic_loss=loss.item())
         if weight > 0.0 and self.updates % self.config.policy_every == 0:
-            loss, clone_loss, passed = self.policy_loss(batch, values, weight)
+            loss, clone_loss, passed = self.policy_loss(batch, values, weight, pair)
             trained = list(self.policy.parameters())
             # The critics' own gradients would be computed for nothing.
             for parameter, slope in zip(trained, torch.autograd.grad(loss, trained), strict=True):
@@ -192,23 +207,35 @@ class Td3Demo(Own):
             if batch.shown:
                 self.note(clone_loss=clone_loss.item(), passed=passed.item())
 
-    def critic_loss(self, batch: Batch) -> tuple[torch.Tensor, torch.Tensor]:
-        """Mean squared difference from targets that are possible returns; and the lower values."""
+    def _pair(self) -> list[int]:
+        """Which critics rate a batch."""
+        count = self.config.critics
+        if count == PAIR:
+            return [0, 1]
+        return [int(critic) for critic in self.random.choice(count, PAIR, replace=False)]
+
+    def critic_loss(self, batch: Batch, pair: list[int]) -> tuple[torch.Tensor, torch.Tensor]:
+        """Mean squared difference from targets that are possible returns; and the lower values.
+
+        Args:
+            batch: Some transitions.
+            pair: The critics that make the targets, and that say the values.
+        """
         limit = 2 * self.config.target_noise
         with torch.no_grad():
             action = self.target(batch.next_features)
             noise = self.random.standard_normal(tuple(action.shape), np.float32)
             noise = (self.config.target_noise * noise).clip(-limit, limit)
             action = (action + torch.from_numpy(noise)).clamp(-1, 1)
-            value = self.target_critics(batch.next_features, action).amin(0)
-            target = batch.reward + batch.goes_on * self.config.gamma * value
+            value = self.target_critics(batch.next_features, action)[pair].amin(0)
+            target = batch.reward + batch.discount * value
             target = target.clamp(*self.bounds)
         values = self.critics(batch.features, batch.action)
         loss = mse_loss(values, target.expand_as(values), reduction="sum") / len(target)
-        return loss, values.detach().amin(0)
+        return loss, values.detach()[pair].amin(0)
 
     def policy_loss(
-        self, batch: Batch, values: torch.Tensor, weight: float
+        self, batch: Batch, values: torch.Tensor, weight: float, pair: list[int]
     ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
         """What the policy minimises, its part from cloning, and what part of that passes.
 
@@ -216,10 +243,11 @@ class Td3Demo(Own):
             batch: Some transitions.
             values: Of the actions in it.
             weight: Of the value of its own actions.
+            pair: The critics that say it.
         """
         config, shown = self.config, batch.shown
         action = self.policy(batch.features)
-        own = self.critics(batch.features, action).amin(0)
+        own = self.critics(batch.features, action)[pair].amin(0)
         loss = -weight * own.mean()
         nothing = torch.zeros(())
         if shown == 0:
@@ -238,6 +266,8 @@ class Td3Demo(Own):
         """All that decides how it goes on."""
         networks = {name: network.state_dict() for name, network in self._networks().items()}
         told = {"networks": networks, "replay": self.replay.state()}
+        if self.demos is not None and self.config.own_demos:
+            told["demos"] = self.demos.state()
         return super().state() | told
 
     def go_on(self, state: dict[str, Any]) -> None:
@@ -246,6 +276,8 @@ class Td3Demo(Own):
         for name, network in self._networks().items():
             network.load_state_dict(state["networks"][name])
         self.replay.go_on(state["replay"])
+        if self.demos is not None and self.config.own_demos:
+            self.demos.go_on(state["demos"])
 
 
 def _follow(target: torch.nn.Module, source: torch.nn.Module, part: float) -> None:
