@@ -9,6 +9,7 @@ from statistics import mean, stdev
 from typing import Any
 
 from trocar.errors import InvalidRequest, refuse
+from trocar.rl.curves import assignment
 
 FIELDS = ("task", "algo", "run", "trained_with", "options", "success_rate", "mean_return")
 
@@ -55,7 +56,8 @@ def markdown(evaluations: list[dict[str, Any]]) -> str:
 
 
 def _named(options: dict[str, Any]) -> str:
-    return " ".join(f"{name}={value}" for name, value in sorted(options.items())) or "defaults"
+    named = (assignment(name, value) for name, value in sorted(options.items()))
+    return " ".join(named) or "defaults"
 
 
 def _cell(values: list[float]) -> str:
