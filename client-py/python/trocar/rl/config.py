@@ -171,7 +171,8 @@ class Config:
     n_steps: int = 1
     """Steps whose rewards make a critic's target, before its own value of what follows."""
     own_demos: bool = False
-    """Whether episodes of its own that succeed become demonstrations."""
+    """Whether episodes of its own that succeed become demonstrations: what it did is cloned, with
+    the noise of exploring."""
     clone_updates: int = 0
     """Gradient steps of cloning: before the first epoch, and with DAgger in each."""
     clone_rate: float = 1e-3

@@ -173,10 +173,9 @@ class Episodes:
             later = time[changed] + 1 + random.integers(left[changed])
             desired[changed] = self.achieved[episode[changed], later]
             reached = self.achieved[each[0][changed], each[1][changed] + 1]
-            both = _rows(reached), desired[changed].repeat(n_steps, 0)
-            shape = reward[changed].shape
-            reward[changed] = goals.compute_reward(*both).reshape(shape)
-            terminated[changed] = goals.compute_terminated(*both).reshape(shape)
+            both = reached.reshape(-1, desired.shape[1]), desired[changed].repeat(n_steps, 0)
+            reward[changed] = goals.compute_reward(*both).reshape(-1, n_steps)
+            terminated[changed] = goals.compute_terminated(*both).reshape(-1, n_steps)
         ended = terminated.cumsum(1) > terminated
         counts = (ahead < left[:, None]) & ~ended
         last = counts.sum(1) - 1
@@ -254,11 +253,6 @@ def play(
         seen = Seen(running, (left[0], left[1], left[2]), infos)
     played._ends = played.length.cumsum()
     return played
-
-
-def _rows(arrays: NDArray[Any]) -> NDArray[Any]:
-    """Without the first of two dimensions of rows."""
-    return arrays.reshape(-1, arrays.shape[-1])
 
 
 def _arrays(seen: Any) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
