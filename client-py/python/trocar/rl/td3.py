@@ -48,6 +48,7 @@ class Td3Demo(Own):
 
     Attributes:
         replay: What was played.
+        growing: The demonstrations, where its own successes become some.
         averaged: The average of the policy, which is scored.
         critics: What rates actions.
     """
@@ -65,9 +66,11 @@ class Td3Demo(Own):
             spec.reward, (-np.inf, np.inf)
         )
         played = config.epochs * config.epoch_episodes
+        self.growing: Episodes | None = None
         if self.demos is not None and config.own_demos:
-            given, self.demos = self.demos, Episodes(spec, len(self.demos) + played)
-            self.demos.add(given)
+            self.growing = Episodes(spec, len(self.demos) + played)
+            self.growing.add(self.demos)
+            self.demos = self.growing
         room = played + config.learning_starts // spec.max_steps + 1
         self.replay = Episodes(spec, min(room, max(1, config.buffer_size // spec.max_steps)))
         first = 0.3 * low if spec.reward == "sparse" else 0.0
@@ -122,8 +125,8 @@ class Td3Demo(Own):
             act, meanwhile = partial(self._explore, noise), partial(self._train, self.weight())
             played = self.play(act, meanwhile)
             self.replay.add(played)
-            if self.demos is not None and self.config.own_demos:
-                self.demos.add(played, played.succeeded)
+            if self.growing is not None:
+                self.growing.add(played, played.succeeded)
             live((number + 1) / rounds)
 
     def weight(self) -> float:
@@ -266,8 +269,8 @@ class Td3Demo(Own):
         """All that decides how it goes on."""
         networks = {name: network.state_dict() for name, network in self._networks().items()}
         told = {"networks": networks, "replay": self.replay.state()}
-        if self.demos is not None and self.config.own_demos:
-            told["demos"] = self.demos.state()
+        if self.growing is not None:
+            told["demos"] = self.growing.state()
         return super().state() | told
 
     def go_on(self, state: dict[str, Any]) -> None:
@@ -276,8 +279,8 @@ class Td3Demo(Own):
         for name, network in self._networks().items():
             network.load_state_dict(state["networks"][name])
         self.replay.go_on(state["replay"])
-        if self.demos is not None and self.config.own_demos:
-            self.demos.go_on(state["demos"])
+        if self.growing is not None:
+            self.growing.go_on(state["demos"])
 
 
 def _follow(target: torch.nn.Module, source: torch.nn.Module, part: float) -> None:
