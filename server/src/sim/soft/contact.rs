@@ -416,12 +416,15 @@ impl Contact {
     /// Impulses along normal and tangents as contact and friction can bear them.
     #[inline(always)]
     fn borne(friction: f32, wanted: f32x4) -> f32x4 {
-        let [normal, first, second, _] = wanted.to_array();
-        let normal = normal.max(0.0);
+        // The numbers stay in one register: what is put together in memory would have to be waited for.
+        let pressing = wanted.fast_max(f32x4::from([0.0, f32::MIN, f32::MIN, f32::MIN]));
+        let [normal, first, second, _] = pressing.to_array();
         let most = friction * normal;
         let square = first * first + second * second;
         let part = if square > most * most { most / square.sqrt() } else { 1.0 };
-        f32x4::from([normal, first * part, second * part, 0.0])
+        let along = f32x4::from([1.0, 0.0, 0.0, 0.0]);
+        let across = f32x4::from([0.0, 1.0, 1.0, 1.0]);
+        pressing * (along + across * f32x4::splat(part))
     }
 
     /// Begins with the impulse of the substep before, as a force.
@@ -458,8 +461,9 @@ impl Contact {
         let least = f32x4::from([self.least, 0.0, 0.0, 0.0]);
         let missing = least - combined(&self.rows, velocity.into());
         let before = self.impulse;
-        self.impulse = Self::borne(candidate.friction, before + missing * self.effective_mass);
-        let change = self.impulse - before;
+        let after = Self::borne(candidate.friction, before + missing * self.effective_mass);
+        let change = after - before;
+        self.impulse = after;
         self.changed = 0.0;
         if change != f32x4::ZERO {
             self.apply::<FIXED>(candidate, change, velocities, proxies);

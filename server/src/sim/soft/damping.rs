@@ -57,8 +57,10 @@ pub(super) fn look_ahead(
     ahead: &mut [Vec<f32>; 3],
 ) {
     for ((ahead, x), v) in ahead.iter_mut().zip(x).zip(v) {
-        ahead.clear();
-        ahead.extend(x.iter().zip(v).map(|(x, v)| x + lag * v));
+        ahead.resize(x.len(), 0.0);
+        for ((ahead, x), v) in ahead.iter_mut().zip(x).zip(v) {
+            *ahead = x + lag * v;
+        }
     }
     let Some(rigid) = rigid else { return };
     let [x, y, z] = x;

@@ -127,13 +127,17 @@ impl Constants {
     }
 }
 
+/// Why there are as many nodes as lanes.
+const PADDED: &str = "lanes past the last element have nodes";
+
 /// Sums of the eight corners with the signs of x, y, z, xy, xz, yz, xyz.
 type Modes<L> = [L; 7];
 
 /// Sum and difference of both ends of edges along a row of nodes.
 #[inline(always)]
 fn ends<L: Lanes>(x: &[f32], row: usize) -> [L; 2] {
-    let (first, second) = (L::load(&x[row..]), L::load(&x[row + 1..]));
+    let nodes: &[f32; LANES + 1] = x[row..].first_chunk().expect(PADDED);
+    let (first, second) = (L::load(nodes), L::load(&nodes[1..]));
     [first + second, second - first]
 }
 
@@ -259,9 +263,9 @@ fn scatter<L: Lanes>(forces: &mut [f32], rows: [usize; 4], modes: &Modes<L>) {
 fn add_ends<L: Lanes>(forces: &mut [f32], row: usize, even: L, odd: L) {
     let (first, second) = (even - odd, even + odd);
     let (shifted, last) = second.shifted();
-    let there = L::load(&forces[row..]);
-    (there + first + shifted).store(&mut forces[row..]);
-    forces[row + LANES] += last;
+    let nodes: &mut [f32; LANES + 1] = forces[row..].first_chunk_mut().expect(PADDED);
+    (L::load(nodes) + first + shifted).store(nodes);
+    nodes[LANES] += last;
 }
 
 #[cfg(test)]

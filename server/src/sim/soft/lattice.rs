@@ -12,7 +12,7 @@ use std::sync::Arc;
 use nalgebra::{Point3, Vector3};
 
 use super::damping::Rigid;
-use super::lanes::{LANES, with_widest_instructions};
+use super::lanes::{LANES, Lanes, with_widest_instructions, with_widest_registers};
 use super::material::{MOST_NODES, Material, MaterialError};
 use super::{damping, elasticity};
 use crate::sim::frames::{Aabb, Pose};
@@ -438,8 +438,8 @@ fn begin_forces(lattice: &mut Lattice, gravity: f32, lag: f32) {
     damping::look_ahead(x, v, rigid.as_ref(), lag, ahead);
     *kept = rigid;
     for force in forces.iter_mut() {
-        force.clear();
         force.resize(form.mass.len(), 0.0);
+        force.fill(0.0);
     }
     let weight = -gravity * GRAVITY as f32;
     for (force, mass) in forces[2].iter_mut().zip(&form.mass) {
@@ -479,18 +479,21 @@ fn blocks(numbers: &[f32]) -> &[[f32; LANES]] {
 
 /// The least and the greatest number of those that have a mass.
 fn extent(numbers: &[f32], masses: &[f32]) -> [f32; 2] {
-    let (mut least, mut most) = ([f32::INFINITY; LANES], [f32::NEG_INFINITY; LANES]);
+    with_widest_registers!(extent_in_lanes(numbers: &[f32], masses: &[f32]) -> [f32; 2])
+}
+
+#[inline(always)]
+fn extent_in_lanes<L: Lanes>(numbers: &[f32], masses: &[f32]) -> [f32; 2] {
+    let far = L::splat(f32::MAX);
+    let (mut least, mut most) = (far, -far);
     for (numbers, masses) in blocks(numbers).iter().zip(blocks(masses)) {
-        for lane in 0..LANES {
-            let (number, is_there) = (numbers[lane], masses[lane] > 0.0);
-            let low = if is_there { number } else { f32::INFINITY };
-            let high = if is_there { number } else { f32::NEG_INFINITY };
-            least[lane] = if low < least[lane] { low } else { least[lane] };
-            most[lane] = if high > most[lane] { high } else { most[lane] };
-        }
+        let mass = L::new(*masses);
+        let number = L::new(*numbers).where_positive(mass);
+        let beyond = far - far.where_positive(mass);
+        (least, most) = (least.min(number + beyond), most.max(number - beyond));
     }
     [
-        least.into_iter().fold(f32::INFINITY, f32::min),
-        most.into_iter().fold(f32::NEG_INFINITY, f32::max),
+        least.numbers().into_iter().fold(f32::INFINITY, f32::min),
+        most.numbers().into_iter().fold(f32::NEG_INFINITY, f32::max),
     ]
 }
