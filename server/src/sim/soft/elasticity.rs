@@ -127,7 +127,7 @@ impl Constants {
     }
 }
 
-/// Why there are as many nodes as lanes.
+/// Why there are as many nodes as lanes, and one more.
 const PADDED: &str = "lanes past the last element have nodes";
 
 /// Sums of the eight corners with the signs of x, y, z, xy, xz, yz, xyz.
