@@ -78,7 +78,7 @@ fn motion(options: &Options, seed: u64) -> [Track; 6] {
             world.tick().unwrap();
             let arm = world.arm("PSM1").unwrap();
             let encoders = arm.encoders();
-            let links = arm.drivetrain().settled(encoders);
+            let links = arm.drivetrain().settled::<7>(encoders.first_chunk().unwrap());
             for (joint, track) in tracks.iter_mut().enumerate() {
                 track.commanded.push(arm.setpoint_js().position[joint]);
                 track.encoder.push(encoders[joint]);
@@ -273,8 +273,7 @@ fn the_arm_that_is_drawn_and_touches_is_the_true_one() {
         world.tick().unwrap();
     }
     let arm = world.arm("PSM1").unwrap();
-    let links: [f64; 6] =
-        std::array::from_fn(|joint| arm.drivetrain().settled(arm.encoders())[joint]);
+    let links = arm.drivetrain().settled::<6>(arm.encoders().first_chunk().unwrap());
     let believed = world.world_from_base("PSM1").unwrap();
     let scene = world.env().scene();
     let body = scene.body("psm1 jaw_1_link").unwrap();

@@ -198,6 +198,11 @@ pub(super) fn sin_cos(angle: f64) -> (f64, f64) {
     ComplexField::sin_cos(angle)
 }
 
+/// The cosine with the same bits on every machine (not the C library's).
+pub(super) fn cos(angle: f64) -> f64 {
+    ComplexField::cos(angle)
+}
+
 /// The angle of (x, y) with the same bits on every machine (not the C library's), in ]−π, π].
 pub(super) fn atan2(y: f64, x: f64) -> f64 {
     RealField::atan2(y, x)

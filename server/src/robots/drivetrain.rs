@@ -99,7 +99,7 @@ impl Drivetrain {
             plays: encoders.iter().copied().collect(),
         };
         let there = middle.links(&transmission, &self.offsets);
-        let without = self.settled(encoders);
+        let without = self.offset(encoders);
         let offsets = self.offsets.iter().zip(without.iter().zip(&there));
         let offsets = offsets.map(|(offset, (without, there))| offset + (without - there));
         let begin =
@@ -126,7 +126,7 @@ impl Drivetrain {
             state.advance(transmission, set_points, seconds);
             return [state.encoders.clone(), self.links()];
         }
-        [set_points.iter().copied().collect(), self.settled(set_points)]
+        [set_points.iter().copied().collect(), self.offset(set_points)]
     }
 
     /// Lets the motors come to rest at these set-points, to which they go straight.
@@ -136,15 +136,24 @@ impl Drivetrain {
         }
     }
 
-    /// Where the links would be if the motors went straight to these set-points, of all axes or of the first ones, and
+    /// Where the links would be if the motors went straight to these set-points, of all axes or of the first `N`, and
     /// came to rest there.
-    pub fn settled(&self, set_points: &[f64]) -> Axes {
+    ///
+    /// # Panics
+    /// Where there are fewer axes.
+    pub fn settled<const N: usize>(&self, set_points: &[f64; N]) -> [f64; N] {
         let Some((transmission, state)) = &self.transmission else {
-            return set_points.iter().zip(&self.offsets).map(|(q, offset)| q + offset).collect();
+            return std::array::from_fn(|axis| set_points[axis] + self.offsets[axis]);
         };
         let mut state = state.clone();
         state.settle(transmission, set_points);
-        state.links(transmission, &self.offsets).into_iter().take(set_points.len()).collect()
+        let links = state.links(transmission, &self.offsets);
+        std::array::from_fn(|axis| links[axis])
+    }
+
+    /// Where links are whose encoders say this, without a transmission.
+    fn offset(&self, encoders: &[f64]) -> Axes {
+        encoders.iter().zip(&self.offsets).map(|(encoder, offset)| encoder + offset).collect()
     }
 
     /// What the encoders say now.
@@ -308,7 +317,7 @@ mod tests {
         assert!((links[5] - there[5] - begin[1]).abs() < 1e-12);
         assert!(links[..4] == there[..4] && links[6] == there[6]);
         let held: Axes = links.iter().map(|link| link + 0.02).collect();
-        let encoders = arm.encoders(&held);
+        let encoders = arm.encoders(&held).into_inner().expect("one for each axis");
         arm.displace(&held);
         let is = arm.settled(&encoders);
         for (is, held) in is.iter().zip(&held) {

@@ -1,7 +1,7 @@
 //! The endoscopic camera manipulator (ECM): 4 joints and an endoscope.
 
 use crate::robots::chain::{
-    Chain, Link, SINGULAR, Twist, atan2, shaft_direction, sin_cos, yaw_pitch_of,
+    Chain, Link, SINGULAR, Twist, atan2, cos, shaft_direction, yaw_pitch_of,
 };
 use crate::robots::error::{IkError, check_limits, check_reach};
 use crate::robots::{ArmModel, JointLimit};
@@ -166,7 +166,7 @@ impl Ecm {
         }
         let depth = start[2] + self.chain.links[2].d + self.chain.links[3].d;
         let speed = |part: f64| {
-            let (_, cos) = sin_cos(start[1] + pitch * part);
+            let cos = cos(start[1] + pitch * part);
             let across = depth + insertion * part;
             let turned = across * across * (pitch * pitch + cos * cos * yaw * yaw);
             (insertion * insertion + turned).sqrt()

@@ -275,7 +275,7 @@ impl EcmArm {
 
     /// The joints as they really are, rad; index 2 in m.
     pub fn true_joints(&self) -> [f64; 4] {
-        first(&self.drivetrain.settled(&self.joints))
+        self.drivetrain.settled(&self.joints)
     }
 
     /// Length of the path of the endoscope's tip, m, since the true joints were `joints` and moved evenly. Where the

@@ -42,7 +42,7 @@ impl PsmArm {
 
     /// What the joints really are, rad; index 2 in m.
     pub(super) fn true_joints(&self) -> [f64; 6] {
-        first(&self.drivetrain.settled(&self.joints))
+        self.drivetrain.settled(&self.joints)
     }
 
     /// Whether cables tilt its jaws and its actions cannot tilt them back.
@@ -100,8 +100,7 @@ impl PsmArm {
         let jaw = self.told[substeps].0[6];
         let (told, drivetrain) = self.told[done].clone();
         self.drivetrain = drivetrain;
-        let joints = self.drivetrain.present();
-        let mut links = first(&self.drivetrain.settled(joints));
+        let mut links = self.drivetrain.settled(&first(self.drivetrain.present()));
         if arrival.is_blocked {
             let posture = Posture { world_from_wrist: self.pose_of(&links), jaw };
             links = self.links_near(&links, &posture);

@@ -59,7 +59,7 @@ impl PsmArm {
     pub(super) fn joints_where_it_is(&self, end: &[f64; 6]) -> [f64; 6] {
         let base_from_wrist =
             self.scene_from_true_base.inv_mul(&self.instrument.posture().world_from_wrist);
-        let seed = first(&self.drivetrain.settled(end));
+        let seed = self.drivetrain.settled(end);
         match self.kinematics.inverse(&base_from_wrist, &seed) {
             Ok(links) => first(&self.drivetrain.encoders(&links)),
             Err(_) => self.joints, // between two poses at a limit: at most a step away
@@ -83,6 +83,6 @@ impl PsmArm {
 
     /// The true wrist once the arm has come to rest where the encoders say this.
     pub(super) fn true_pose(&self, joints: &[f64; 6]) -> Pose {
-        self.pose_of(&first(&self.asked_drivetrain.settled(joints)))
+        self.pose_of(&self.asked_drivetrain.settled(joints))
     }
 }
