@@ -12,7 +12,7 @@ use wide::f32x4;
 
 use super::contact::{lanes, vector};
 use super::corners::{Corners, Nodes};
-use super::lanes::with_widest_instructions;
+use super::lanes::{length, with_widest_instructions};
 use super::lattice::{CORNERS, Lattice};
 use super::material::Friction;
 use super::proxy::{PartProxy, Proxy};
@@ -226,7 +226,7 @@ impl Regions {
 impl PartProxy {
     /// Whether its surface is within `reach` of a region, or of samples that are a little outside of that.
     fn is_near(&self, region: &Region, reach: f32) -> bool {
-        let size = vector(region.max - region.min).norm();
+        let size = length(&vector(region.max - region.min));
         let middle = vector(region.min + region.max) * 0.5;
         self.gap(&middle, reach + 0.75 * size).is_some()
     }
@@ -240,7 +240,7 @@ impl PartProxy {
     /// Whether its surface has an edge within `reach` of a region, or is curved as narrowly as that.
     fn is_sharp_near(&self, near: &Region, reach: f32) -> bool {
         let middle = vector(near.min + near.max) * 0.5 - self.at.origin;
-        let size = vector(near.max - near.min).norm();
+        let size = length(&vector(near.max - near.min));
         self.shape.is_sharp_near(&self.at.axes.tr_mul(&middle), reach + 0.5 * size)
     }
 }

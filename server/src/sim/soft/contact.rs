@@ -25,7 +25,7 @@ use nalgebra::Vector3;
 use wide::f32x4;
 
 use super::candidates::{Candidate, Candidates};
-use super::lanes::{Lanes, with_widest_instructions};
+use super::lanes::{Lanes, length, with_widest_instructions};
 use super::lattice::Lattice;
 use super::material::Friction;
 use super::proxy::Proxy;
@@ -498,6 +498,6 @@ impl Contact {
 pub(super) fn axes(normal: &Vector3<f32>) -> [Vector3<f32>; 3] {
     let seed = if normal.x.abs() < 0.6 { Vector3::x() } else { Vector3::y() };
     let tangent = normal.cross(&seed);
-    let tangent = tangent / tangent.norm();
+    let tangent = tangent / length(&tangent);
     [*normal, tangent, normal.cross(&tangent)]
 }

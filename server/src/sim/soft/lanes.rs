@@ -6,10 +6,18 @@
 
 use std::ops::{Add, Div, Mul, Neg, Sub};
 
+use nalgebra::Vector3;
 use wide::f32x8;
 
 /// How many there are.
 pub(super) const LANES: usize = 8;
+
+/// The length of a vector, with the bits of its `norm`. That one takes the root by an instruction for narrow registers,
+/// which has to wait where wide ones are in use.
+#[inline(always)]
+pub(super) fn length(vector: &Vector3<f32>) -> f32 {
+    vector.norm_squared().sqrt()
+}
 
 /// Eight numbers.
 pub(super) trait Lanes:

@@ -13,6 +13,7 @@
 use nalgebra::{Matrix3, UnitQuaternion, Vector3};
 use rapier3d::prelude::RigidBodyHandle;
 
+use super::lanes::length;
 use super::shape::{Gap, Shape};
 use crate::sim::world::JawMotor;
 
@@ -177,7 +178,7 @@ impl Proxy {
 
     /// How far any point of it moves in `seconds` by its velocities, at most, m.
     pub(super) fn reach(&self, seconds: f32) -> f32 {
-        (self.velocity.norm() + self.rate.norm() * self.radius) * seconds
+        (length(&self.velocity) + length(&self.rate) * self.radius) * seconds
     }
 
     /// Moves it by its velocities.

@@ -2,6 +2,7 @@
 
 use nalgebra::Vector3;
 
+use super::lanes::length;
 use crate::sim::world;
 
 /// The form of a part, in a frame in which it lies straight.
@@ -119,7 +120,7 @@ fn box_gap(point: &Vector3<f32>, outside: &Vector3<f32>, reach: f32) -> Option<G
         return Some(Gap { distance: outside[nearest], normal });
     }
     let away = Vector3::from([0, 1, 2].map(|axis: usize| outside[axis].max(0.0) * sign(axis)));
-    let distance = away.norm();
+    let distance = length(&away);
     (distance <= reach).then(|| Gap { distance, normal: away / distance })
 }
 
