@@ -146,7 +146,8 @@ pub struct EcmArm {
     passed: Vec<Drivetrain>,
     /// Where the camera really is, seen from where it should be; none where it is there.
     camera_error: Option<Pose>,
-    /// The camera as the joint sensors report it, in the nominal RCM frame.
+    /// The camera as the joint sensors report it, in the base and in the nominal RCM frame.
+    base_from_camera: Pose,
     rcm_from_camera: Pose,
     rate: Rate,
     /// Where the latest command moves the joints, as the sensors report them: from, to.
@@ -176,13 +177,14 @@ impl EcmArm {
         };
         let kinematics = Ecm::new(options::arm_of(options)?, Endoscope::Straight);
         let world_from_nominal = world_from_rcm(BASE);
+        let base_from_camera = kinematics.base_from_camera(&[0.0; 4]);
         Ok(Self {
             kinematics,
             control,
             world_from_rcm: world_from_rcm(base),
             world_from_true_rcm: world_from_rcm(base),
             world_from_nominal,
-            world_from_reference: world_from_nominal * kinematics.base_from_camera(&[0.0; 4]),
+            world_from_reference: world_from_nominal * base_from_camera,
             start: [0.0; 4],
             mode: options::action_of(options),
             preset: options::preset_of(options),
@@ -192,6 +194,7 @@ impl EcmArm {
             drivetrain: Drivetrain::new([0.0; 4]),
             passed: vec![],
             camera_error: None,
+            base_from_camera,
             rcm_from_camera: Pose::identity(),
             rate: RATE.of(options),
             way: [[0.0; 4]; 2],
@@ -227,10 +230,9 @@ impl EcmArm {
         self.world_from_true_rcm =
             error.map_or(self.world_from_rcm, |error| error * self.world_from_rcm);
         self.camera_error = self.domain.draw_camera_error(rng);
-        self.joints = self.start;
         self.passed.clear();
         self.way = [self.start; 2];
-        self.rcm_from_camera = self.sensed(&self.joints);
+        self.sense(self.start);
     }
 
     /// Lets episodes start with these joints, rad; index 2 in m, or with those nearest to them that it can take.
@@ -252,7 +254,14 @@ impl EcmArm {
 
     /// Where joints, as they really are, bring the true camera, world frame.
     fn camera_with(&self, joints: &[f64; 4]) -> Pose {
-        let world_from_camera = self.world_from_true_rcm * self.kinematics.base_from_camera(joints);
+        // What the sensors report is mostly true.
+        let are_sensed = joints.map(f64::to_bits) == self.joints.map(f64::to_bits);
+        let base_from_camera = if are_sensed {
+            self.base_from_camera
+        } else {
+            self.kinematics.base_from_camera(joints)
+        };
+        let world_from_camera = self.world_from_true_rcm * base_from_camera;
         self.camera_error.map_or(world_from_camera, |error| world_from_camera * error)
     }
 
@@ -376,8 +385,7 @@ impl EcmArm {
             }
         };
         if joints != self.joints {
-            self.joints = joints;
-            self.rcm_from_camera = self.sensed(&self.joints);
+            self.sense(joints);
         }
     }
 
@@ -409,10 +417,10 @@ impl EcmArm {
     /// Takes note of what the joint sensors report of an arm that is driven from outside, rad; index 2 in m, and of
     /// its drivetrain.
     pub fn follow(&mut self, encoders: &[f64; 4], drivetrain: &Drivetrain) {
-        (self.joints, self.way) = (*encoders, [*encoders; 2]);
+        self.way = [*encoders; 2];
         self.drivetrain.clone_from(drivetrain);
         self.passed.clear();
-        self.rcm_from_camera = self.sensed(&self.joints);
+        self.sense(*encoders);
     }
 
     /// The arm once actions that are on their way have been carried out, as its expert foresees it.
@@ -472,9 +480,16 @@ impl EcmArm {
         self.kinematics.inverse_position(&position.coords, &self.joints).ok()
     }
 
-    fn sensed(&self, joints: &[f64; 4]) -> Pose {
-        let world_from_camera = self.world_from_rcm * self.kinematics.base_from_camera(joints);
-        self.world_from_nominal.inv_mul(&world_from_camera)
+    /// Takes note of what the joint sensors report, rad; index 2 in m.
+    fn sense(&mut self, joints: [f64; 4]) {
+        self.joints = joints;
+        self.base_from_camera = self.kinematics.base_from_camera(&joints);
+        self.rcm_from_camera = self.in_nominal_rcm(&self.base_from_camera);
+    }
+
+    /// Where the nominal RCM frame has a camera that is here in the base.
+    fn in_nominal_rcm(&self, base_from_camera: &Pose) -> Pose {
+        self.world_from_nominal.inv_mul(&(self.world_from_rcm * base_from_camera))
     }
 }
 

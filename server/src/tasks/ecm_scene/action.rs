@@ -50,8 +50,8 @@ impl EcmArm {
             return;
         }
         let joints = self.steered(velocity);
-        let to = self.sensed(&joints).translation.vector;
-        let step = to - self.rcm_from_camera.translation.vector;
+        let to = self.in_nominal_rcm(&self.kinematics.base_from_camera(&joints));
+        let step = to.translation.vector - self.rcm_from_camera.translation.vector;
         self.encode(&step, joints[3] - self.joints[3], action);
     }
 
@@ -122,7 +122,7 @@ impl EcmArm {
         let most_roll = STEP_ROLL * scale;
         let roll = (self.sensed_misorientation() * scale).clamp(-most_roll, most_roll);
         // The camera frame's x and y axes are the image axes left and up.
-        let base_from_camera = self.kinematics.base_from_camera(&self.joints).rotation;
+        let base_from_camera = self.base_from_camera.rotation;
         let linear = base_from_camera * Vector3::new(0.0, 0.0, forward);
         let angular = base_from_camera * Vector3::new(across.y, -across.x, roll);
         let twist = Vector6::new(linear.x, linear.y, linear.z, angular.x, angular.y, angular.z);

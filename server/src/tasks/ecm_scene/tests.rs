@@ -81,8 +81,8 @@ fn a_velocity_across_turns_the_picture_towards_it_and_keeps_it_level() {
 #[test]
 fn a_velocity_forward_brings_the_camera_on_and_takes_the_misorientation_away() {
     let mut arm = arm(&Options::new(), Control::Velocity);
-    arm.joints[3] = 0.2;
-    arm.rcm_from_camera = arm.sensed(&arm.joints);
+    let [yaw, pitch, insertion, _] = arm.joints;
+    arm.sense([yaw, pitch, insertion, 0.2]);
     let start = arm.joints;
     let mut before = arm.misorientation().abs();
     for step in 1..=10 {
