@@ -254,7 +254,7 @@ impl EcmArm {
 
     /// Where joints, as they really are, bring the true camera, world frame.
     fn camera_with(&self, joints: &[f64; 4]) -> Pose {
-        // What the sensors report is mostly true.
+        // What the sensors report is mostly true, to the bit.
         let are_sensed = joints.map(f64::to_bits) == self.joints.map(f64::to_bits);
         let base_from_camera = if are_sensed {
             self.base_from_camera
