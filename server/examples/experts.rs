@@ -27,7 +27,11 @@ const DVRK: &str = "dvrk";
 /// How far the pad gives, m: of tasks whose object lies on a pad.
 const PAD: (&str, [f64; 2]) = ("pad_depth", [0.002; 2]);
 
-const CONDITIONS: [Condition; 15] = [
+/// Actuators that add noise to commands that come late.
+const NOISY_AND_LATE: [(&str, [f64; 2]); 2] =
+    [("action_noise", [0.5e-3; 2]), ("latency_seconds", [0.06; 2])];
+
+const CONDITIONS: [Condition; 17] = [
     ("default", 5.0, &[]),
     ("rate 10", 10.0, &[]),
     ("rate 20", 20.0, &[]),
@@ -36,7 +40,9 @@ const CONDITIONS: [Condition; 15] = [
     ("rate 60", 60.0, &[]),
     ("noise 0.5 mm", 5.0, &[("action_noise", [0.5e-3; 2])]),
     ("noise 1 mm", 5.0, &[("action_noise", [1e-3; 2])]),
+    ("noise 0.5 mm, late 60 ms", 5.0, &NOISY_AND_LATE),
     ("late 60 ms, rate 20", 20.0, &[("latency_seconds", [0.06; 2])]),
+    ("late 60 ms, noise 0.5 mm, rate 20", 20.0, &NOISY_AND_LATE),
     ("late 1 step", 5.0, &[("latency", [1.0; 2])]),
     ("offset 0.01", 5.0, &[("joint_offset", [-0.01, 0.01])]),
     ("offset 0.02", 5.0, &[("joint_offset", [-0.02, 0.02])]),

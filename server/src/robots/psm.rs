@@ -255,9 +255,11 @@ enum Branch {
 
 /// Refuses a target or a seed that holds a NaN or an infinity.
 fn check_finite(pose: &Isometry3<f64>, seed: &[f64; 6]) -> Result<(), IkError> {
-    let axes = pose.rotation.to_rotation_matrix();
-    let mut values = pose.translation.vector.iter().chain(axes.matrix()).chain(seed);
-    if values.all(|value| value.is_finite()) { Ok(()) } else { Err(IkError::NotFinite) }
+    let (place, turn) = (&pose.translation.vector, &pose.rotation.coords);
+    let are_finite = [place.as_slice(), turn.as_slice(), seed]
+        .iter()
+        .all(|numbers| numbers.iter().all(|number| number.is_finite()));
+    if are_finite { Ok(()) } else { Err(IkError::NotFinite) }
 }
 
 /// Unit vector from the wrist-pitch axis to the wrist-yaw axis at joint values `q`.

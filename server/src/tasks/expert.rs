@@ -11,8 +11,6 @@
 //! measures: poses as the joint sensors report them, positions of objects with the episode's noise, and whether
 //! something keeps jaws apart in place of what their fingers touch.
 
-use std::borrow::Cow;
-
 use nalgebra::{Point3, UnitQuaternion, Vector3};
 use trocar_proto::Options;
 use trocar_proto::spec::OptionSpec;
@@ -81,8 +79,9 @@ impl ExpertInput<'_> {
 /// One of a task's PSMs as its expert looks at it.
 #[derive(Debug, Clone)]
 pub struct ArmView<'a> {
-    /// The arm once the commands on their way have been given.
-    ahead: Cow<'a, PsmArm>,
+    arm: &'a PsmArm,
+    /// The arm once the commands on their way have been given, where there are any.
+    ahead: Option<Box<PsmArm>>,
     sees: Sees,
     /// The wrist now, scene frame.
     pub wrist: Pose,
@@ -117,21 +116,25 @@ impl<'a> ArmView<'a> {
         world: &World,
         sees: Sees,
     ) -> Self {
-        let mut ahead = Cow::Borrowed(arm);
-        in_flight.for_each(|action| ahead.to_mut().command(Some(action)));
+        let mut in_flight = in_flight.peekable();
+        let mut ahead = in_flight.peek().map(|_| Box::new(arm.clone()));
+        if let Some(ahead) = &mut ahead {
+            in_flight.for_each(|action| ahead.command(Some(action)));
+        }
+        let will = ahead.as_deref().unwrap_or(arm);
         let (wrist, aim) = match sees {
             Sees::Truth => (
                 arm.as_upright_as(arm.scene_from_wrist(), arm.true_wrist()),
-                ahead.as_upright_as(ahead.commanded(), &ahead.true_commanded()),
+                will.as_upright_as(will.commanded(), &will.true_commanded()),
             ),
-            Sees::Measured => (*arm.scene_from_wrist(), *ahead.commanded()),
+            Sees::Measured => (*arm.scene_from_wrist(), *will.commanded()),
         };
-        Self { ahead, sees, wrist, aim, opening: arm.opening(world), told: arm.told_opening() }
+        Self { arm, ahead, sees, wrist, aim, opening: arm.opening(world), told: arm.told_opening() }
     }
 
     /// The arm once the commands on their way have been given.
     pub fn arm(&self) -> &PsmArm {
-        &self.ahead
+        self.ahead.as_deref().unwrap_or(self.arm)
     }
 
     /// Whether the jaws are open.
@@ -151,18 +154,18 @@ impl<'a> ArmView<'a> {
 
     /// Whether the commands up to now close the jaws, or keep them closed.
     pub fn closes(&self) -> bool {
-        let asked = self.ahead.asked_opening();
+        let asked = self.arm().asked_opening();
         asked < OPEN && asked <= self.told
     }
 
     /// Whether the arm was held up or pushed aside in the last step.
     pub fn is_held_up(&self) -> bool {
-        self.ahead.is_held_up()
+        self.arm().is_held_up()
     }
 
     /// Whether the commands up to now bring it as low as it may go.
     pub fn is_lowest(&self) -> bool {
-        self.ahead.is_lowest()
+        self.arm().is_lowest()
     }
 
     /// Whether the jaws have closed on `object`: both fingers press on it, or something keeps them apart where it is.
@@ -170,7 +173,7 @@ impl<'a> ArmView<'a> {
         if !self.is_closed() {
             return false; // open fingers may press on what they come down on
         }
-        if self.sees == Sees::Truth && self.ahead.holds(world, object) {
+        if self.sees == Sees::Truth && self.arm().holds(world, object) {
             return true;
         }
         let place = self.wrist * Point3::new(0.0, 0.0, GRIP) - input.position_error;
@@ -180,19 +183,19 @@ impl<'a> ArmView<'a> {
     /// How far `target` is outside of where the wrist may go, m.
     pub fn shortfall(&self, target: &Pose) -> f64 {
         let way = target.translation.vector - self.aim.translation.vector;
-        self.ahead.shortfall(&(self.ahead.commanded().translation.vector + way))
+        self.arm().shortfall(&(self.arm().commanded().translation.vector + way))
     }
 
     /// Writes the action that brings the wrist as far from its aim to `target` as one step goes, along a straight line.
     pub fn act(&self, target: &Pose, jaw: f64, action: &mut [f32]) {
-        let scale = self.ahead.rate().scale();
+        let scale = self.arm().rate().scale();
         let step = target.translation.vector - self.aim.translation.vector;
         let step = step / (step.amax() / (STEP_LENGTH * scale)).max(1.0);
         let turn = (target.rotation * self.aim.rotation.inverse()).scaled_axis();
         let turn = turn / (turn.norm() / (STEP_ANGLE * scale)).max(1.0);
-        let asked = self.ahead.commanded();
+        let asked = self.arm().commanded();
         let rotation = UnitQuaternion::from_scaled_axis(turn) * asked.rotation;
         let target = Pose::from_parts((asked.translation.vector + step).into(), rotation);
-        self.ahead.encode(&target, jaw, action);
+        self.arm().encode(&target, jaw, action);
     }
 }

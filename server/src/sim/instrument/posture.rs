@@ -59,7 +59,8 @@ impl Posture {
 
     /// A box around fingers and clevis.
     pub(super) fn aabb(&self, jaws: &Jaws) -> Aabb {
-        self.aabb_with(jaws, SIDES.map(|side| self.world_from_finger(side)))
+        let [left, right] = SIDES;
+        self.aabb_with(jaws, [self.world_from_finger(left), self.world_from_finger(right)])
     }
 
     /// A box around fingers that are there, and the clevis.
@@ -67,7 +68,8 @@ impl Posture {
         let finger =
             |index: usize| jaws.finger_box(SIDES[index]).placed(&world_from_fingers[index]);
         let fingers = [finger(0), finger(1)];
-        let clevis = Aabb::around(clevis_ends().map(|end| self.world_from_wrist * end));
+        let [yaw, pitch] = clevis_ends();
+        let clevis = Aabb::around([self.world_from_wrist * yaw, self.world_from_wrist * pitch]);
         fingers[0].merged(&fingers[1]).merged(&clevis.grown(CLEVIS_RADIUS))
     }
 }
