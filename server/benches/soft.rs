@@ -27,7 +27,7 @@ use trocar_server::sim::world::{Motion, Part, SUBSTEPS_PER_SECOND, Shape, Solver
 const HALF: Vector3<f64> = Vector3::new(0.024, 0.024, 3e-3);
 
 /// Where the tips are when the jaws close, and to where they lift the slab: height above its middle, m.
-const GRASP: f64 = -1e-3;
+const GRASP: f64 = -2e-3;
 const LIFTED: f64 = 0.012;
 
 fn slab() -> SoftBody {
