@@ -21,6 +21,13 @@ const FASTEST: f64 = 1.5;
 /// pair, a wire of 1 mm and a finger of 1.4 mm.
 const DEEPEST: f64 = 1e-3;
 
+/// The same of tissue: how fast its nodes may become at the ends of steps, m/s, and how deep rigid bodies may be in its skin
+/// at the ends of two steps in a row, m; deeper in at most one in so many steps. An instrument at its lowest presses an edge
+/// of a sheet into what that lies on.
+const FASTEST_NODE: f64 = 8.0;
+const DEEPEST_IN_SKIN: f64 = 0.5e-3;
+const STEPS_PER_JAM: u64 = 1_000;
+
 /// Environment steps, of all tasks together, in which an object may leave the theatre: at most one in so many.
 const STEPS_PER_LOSS: u64 = 10_000;
 
@@ -40,6 +47,27 @@ fn mood(rng: &mut Rng, dim: usize) -> Mood {
     }
 }
 
+/// The deepest overlap at the ends of two steps in a row, m, and its seed and step.
+#[derive(Debug, Default)]
+struct Deepest {
+    depth: f64,
+    at: (u64, u32),
+    /// The overlap at the end of the step before.
+    before: f64,
+}
+
+impl Deepest {
+    /// Takes note of the overlap at the end of a step; returns the lesser of that and the one before.
+    fn note(&mut self, depth: f64, at: (u64, u32)) -> f64 {
+        let lasting = depth.min(self.before);
+        if lasting > self.depth {
+            (self.depth, self.at) = (lasting, at);
+        }
+        self.before = depth;
+        lasting
+    }
+}
+
 /// What was seen of a task.
 #[derive(Debug, Default)]
 struct Record {
@@ -49,9 +77,13 @@ struct Record {
     fastest: f64,
     /// Seed of the fastest.
     fastest_at: u64,
-    deepest: f64,
-    /// Seed and step of the deepest overlap.
-    deepest_at: (u64, u32),
+    /// Of objects with anything.
+    deepest: Deepest,
+    fastest_node: f64,
+    /// Of the skin of tissue with anything rigid.
+    deepest_in_skin: Deepest,
+    /// Steps in which that was deeper than [`DEEPEST_IN_SKIN`].
+    jams: u64,
     /// What left its bounds.
     clamped: BTreeMap<String, Excess>,
 }
@@ -67,7 +99,7 @@ fn attack(id: &str, options: &Options, steps: u64) -> Record {
         }
         env.reset(Some(seed));
         let mut rng = Rng::new(23, seed);
-        let mut before: f64 = 0.0;
+        (record.deepest.before, record.deepest_in_skin.before) = (0.0, 0.0);
         while !env.needs_reset() {
             let mood = mood(&mut rng, dim);
             for _ in 0..=rng.index(8) {
@@ -83,12 +115,13 @@ fn attack(id: &str, options: &Options, steps: u64) -> Record {
                 }
                 record.steps += 1;
                 record.failures += u64::from(env.step(&action).is_err());
-                let deep = env.world().deepest_overlap();
-                if deep.min(before) > record.deepest {
-                    record.deepest = deep.min(before);
-                    record.deepest_at = (seed, env.steps());
-                }
-                before = deep;
+                let (world, at) = (env.world(), (seed, env.steps()));
+                record.deepest.note(world.deepest_overlap(), at);
+                let in_skin = world.soft_bodies().map(|body| world.soft_overlap(body));
+                let lasting = record.deepest_in_skin.note(in_skin.fold(0.0, f64::max), at);
+                record.jams += u64::from(lasting > DEEPEST_IN_SKIN);
+                let speeds = world.soft_bodies().map(|body| body.lattice().fastest());
+                record.fastest_node = speeds.fold(record.fastest_node, f64::max);
             }
         }
         // What fell off the table is counted, not how fast it came down to the floor.
@@ -118,9 +151,12 @@ fn nothing_explodes_under_adversarial_actions() {
     let has_objects = |(id, options): &(String, Options)| {
         registry.make(id, options).unwrap().world().objects().next().is_some()
     };
-    // Steps of tissue take a hundred times as long as others'.
     let is_soft = |(id, _): &(String, Options)| registry.tagged("tissue").any(|soft| soft == id);
-    let weight = |run| if has_objects(run) { 10 } else { 1 + 2 * u64::from(is_soft(run)) };
+    let weight = |run| match (has_objects(run), is_soft(run)) {
+        (true, _) => 10,
+        (false, true) => 8,
+        (false, false) => 1,
+    };
     let weights: Vec<_> = runs.iter().map(weight).collect();
     let all: u64 = weights.iter().sum();
     let only = std::env::var("TROCAR_TASK").ok();
@@ -136,7 +172,9 @@ fn nothing_explodes_under_adversarial_actions() {
         losses += record.losses;
         let fine = record.failures == 0
             && record.fastest < FASTEST
-            && record.deepest < DEEPEST
+            && record.deepest.depth < DEEPEST
+            && record.fastest_node < FASTEST_NODE
+            && record.jams <= record.steps / STEPS_PER_JAM
             && record.clamped.is_empty();
         if !fine {
             bad.push(format!("{id} {options:?}: {record:?}"));

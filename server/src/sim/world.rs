@@ -218,6 +218,8 @@ pub struct World {
     advancing: usize,
     /// What soft bodies did to rigid ones in the last substep.
     soft_touches: Vec<soft::SoftTouch>,
+    /// Where rigid bodies were in skin that is held.
+    soft_obstacles: Vec<(RigidBodyHandle, Overlap)>,
     /// The free objects that passed this substep beside soft bodies.
     passed: Vec<soft::PassedObject>,
     /// What turns pairs of fingers.
@@ -269,6 +271,7 @@ impl World {
             others: Vec::new(),
             advancing: 0,
             soft_touches: Vec::new(),
+            soft_obstacles: Vec::new(),
             passed: Vec::new(),
             grips: Vec::new(),
             profiled: Vec::new(),

@@ -28,7 +28,7 @@ use super::candidates::{Candidate, Candidates};
 use super::lanes::{Lanes, length, with_widest_instructions};
 use super::lattice::Lattice;
 use super::material::Friction;
-use super::proxy::Proxy;
+use super::proxy::{Obstacle, Proxy};
 use super::skin::Skin;
 
 /// How often all contacts with what moves are solved in a substep, at most.
@@ -331,12 +331,12 @@ fn detect<const FIXED: bool>(
     contacts: &mut Vec<Contact>,
     places: &[f32x4],
     moved: f32,
-    proxies: &[Proxy],
+    proxies: &mut [Proxy],
     seconds: f32,
 ) {
     contacts.clear();
     for (number, candidate) in (0_u32..).zip(candidates) {
-        let proxy = &proxies[candidate.proxy as usize];
+        let proxy = &mut proxies[candidate.proxy as usize];
         candidate.clear -= SPREAD * moved + proxy.moved;
         if candidate.clear > REACH {
             continue;
@@ -349,6 +349,10 @@ fn detect<const FIXED: bool>(
             candidate.impulse = Vector3::zeros();
             continue;
         };
+        if !FIXED && candidate.corners.is_held() && gap.distance < 0.0 {
+            let (depth, into) = (-gap.distance, gap.normal);
+            proxy.load.meet(Obstacle { depth, point, into });
+        }
         let axes = axes(&gap.normal);
         let least = least_velocity(gap.distance, seconds);
         let is_held = candidate.corners.is_held() && proxy.hinge.is_some();

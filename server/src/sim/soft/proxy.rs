@@ -98,6 +98,19 @@ pub(in crate::sim) struct Load {
     pub attached: Vector3<f64>,
     /// Mean pressure over the skin that pressed, Pa; on what does not move it is 0.
     pub pressure: f64,
+    /// The deepest overlap with skin that is held and gives way to nothing.
+    pub obstacle: Option<Obstacle>,
+}
+
+/// Where a rigid body overlaps with skin that is held.
+#[derive(Debug, Clone, Copy)]
+pub(in crate::sim) struct Obstacle {
+    /// How deep, m.
+    pub depth: f32,
+    /// Where, m.
+    pub point: Vector3<f32>,
+    /// The direction into the skin, axes of the world.
+    pub into: Vector3<f32>,
 }
 
 impl Load {
@@ -116,6 +129,13 @@ impl Load {
         self.angular -= (point - centre).cross(impulse).cast::<f64>();
         self.pressing += normal;
         self.moment += point.cast::<f64>() * normal;
+    }
+
+    /// Takes note of an overlap with skin that is held.
+    pub(super) fn meet(&mut self, obstacle: Obstacle) {
+        if self.obstacle.is_none_or(|deepest| deepest.depth < obstacle.depth) {
+            self.obstacle = Some(obstacle);
+        }
     }
 }
 

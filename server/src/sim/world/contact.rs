@@ -206,6 +206,9 @@ impl World {
                 (push.strongest, push.point) = (touch.force.norm(), touch.point);
             }
         }
+        for (_, overlap) in self.soft_obstacles.iter().filter(|(body, _)| is_own(*body)) {
+            push.overlap = push.overlap.or(*overlap);
+        }
         for body in met {
             let (overlap, crushes) = self.overlap_of(body, instrument);
             push.overlap = push.overlap.or(overlap);

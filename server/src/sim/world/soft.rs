@@ -7,7 +7,7 @@
 //!   passed it already. It is put where it came to.
 //! - Other fingers, and those that a second soft body touches, get the torque as a change of their rate of turning. Other
 //!   objects get both impulses as a change of their velocities.
-//! - What is driven gets nothing: its instrument sees the forces ([`World::push_on`]).
+//! - What is driven gets nothing: its instrument sees the forces, and where it is in skin that is held ([`World::push_on`]).
 
 use std::any::Any;
 
@@ -16,10 +16,10 @@ use rapier3d::math::Vector as EngineVector;
 use rapier3d::prelude::{RigidBody, RigidBodyHandle};
 
 use super::hinge;
-use super::{BodyId, GRAVITY, JawMotor, NonRigid, Part, SUBSTEPS_PER_SECOND, World};
+use super::{BodyId, GRAVITY, JawMotor, NonRigid, Overlap, Part, SUBSTEPS_PER_SECOND, World};
 use crate::sim::frames::{self, Aabb, Pose, SCALE};
 use crate::sim::soft::SoftBody;
-use crate::sim::soft::proxy::{Frame, HingeProxy, Load, Motor, PartProxy, Proxy};
+use crate::sim::soft::proxy::{Frame, HingeProxy, Load, Motor, Obstacle, PartProxy, Proxy};
 
 /// Speed above which what moves is looked at by soft bodies that sleep, m/s.
 const STIRRING: f64 = 1e-4;
@@ -129,9 +129,8 @@ impl World {
         self.soft_touches.iter().filter(move |touch| touch.by == soft.0 && touch.body == body.0)
     }
 
-    /// How deep a soft body is in rigid ones, m.
-    pub fn soft_overlap(&self, id: SoftId) -> f64 {
-        let soft = self.soft(id);
+    /// How deep one of its soft bodies is in rigid ones, m.
+    pub fn soft_overlap(&self, soft: &SoftBody) -> f64 {
         let (proxies, _) = self.proxies_in(&soft.bounds(), &soft.origin(), None);
         soft.deepest_overlap(proxies)
     }
@@ -158,6 +157,7 @@ impl World {
     /// Forgets what soft bodies did in the substep before.
     pub(super) fn clear_soft_touches(&mut self) {
         self.soft_touches.clear();
+        self.soft_obstacles.clear();
         self.passed.clear();
         for hinge in &mut self.hinges {
             hinge.passed = None;
@@ -236,6 +236,10 @@ impl World {
     ) {
         for proxy in proxies {
             let (handle, load) = (proxy.handle, proxy.load);
+            self.soft_obstacles.extend(load.obstacle.map(|Obstacle { depth, point, into }| {
+                let point = Point3::from(origin + point.cast::<f64>());
+                (handle, Overlap { depth: f64::from(depth), point, into: into.cast() })
+            }));
             if load.pressing > 0.0 || load.attachments > 0 {
                 // Where forces are not only those of contacts, in the middle of the attachments.
                 let middle = if load.attachments > 0 {

@@ -298,8 +298,8 @@ fn a_body_that_nothing_is_near_overlaps_nothing_after_a_larger_one_was_looked_at
     let fat = || material(5e3, 0.45, 1000.0);
     let large = world.insert_soft(block([8, 8, 2], 4e-3, fat(), &near, |_| false));
     let small = world.insert_soft(block([1, 1, 1], 4e-3, fat(), &far, |_| false));
-    assert!(world.soft_overlap(large) > 0.5e-3);
-    assert_eq!(world.soft_overlap(small), 0.0);
+    assert!(world.soft_overlap(world.soft(large)) > 0.5e-3);
+    assert_eq!(world.soft_overlap(world.soft(small)), 0.0);
 }
 
 #[test]
