@@ -17,7 +17,8 @@
 //! [`resting`](super::resting) on a flat face.
 //!
 //! A sample that is held only stops a finger: it undoes no overlap, begins with no impulse, and is solved once. A finger
-//! between two of them can obey neither, and impulses would grow without end.
+//! between two of them can obey neither, and impulses would grow without end. An instrument that is in such skin sees it as an
+//! [`Obstacle`], since no impulse tells.
 
 use std::cell::Cell;
 
