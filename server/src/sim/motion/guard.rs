@@ -6,7 +6,7 @@
 //!   behind it, an instrument goes back along its path instead of forward; just before, it waits.
 //!   Where its path does not lead out of what it presses on, or it is jammed, one that grips gives way,
 //!   as a real arm bends. From what its own jaws crush it does not: that would come along. Skin of tissue that
-//!   is held is such an object.
+//!   cannot give way is such an object.
 //! - **Crush**: jaws that press too deep into what they hold open: what they close on near their hinge
 //!   they would squeeze with many times their force at the tip, and keep.
 //! - **Static bodies** stop an instrument that grips before wrist or fingers are in them: fingers give way to

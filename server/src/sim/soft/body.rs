@@ -262,7 +262,7 @@ impl SoftBody {
                 proxy.begin(dt);
             }
             if contacts.are_possible() {
-                contacts.solve(lattice, proxies, dt);
+                contacts.solve(lattice, proxies, dt, !attachments.are_none());
             }
             if !attachments.are_none() {
                 attachments.solve(lattice, proxies, dt);

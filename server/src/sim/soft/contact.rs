@@ -13,12 +13,12 @@
 //! sample's element and m their masses; M and I are mass and inertia of the rigid body, and r points from its centre to
 //! the sample. Contacts begin with the impulses of the substep before: without that friction creeps. Those with what moves
 //! are solved one after the other (projected Gauss–Seidel) and back, up to [`SWEEPS`] times in all; on the way back those that
-//! still change. Those with what stands still are solved once before, since they hardly act on each other. Most of these are
-//! [`resting`](super::resting) on a flat face.
+//! still change. Those with what stands still are solved once, since they hardly act on each other, and last: where an
+//! instrument presses skin into a wall, the wall has its way. Most of these are [`resting`](super::resting) on a flat face.
 //!
 //! A sample that is held only stops a finger: it undoes no overlap, begins with no impulse, and is solved once. A finger
-//! between two of them can obey neither, and impulses would grow without end. An instrument that is in such skin sees it as an
-//! [`Obstacle`], since no impulse tells.
+//! between two of them can obey neither, and impulses would grow without end. An instrument sees skin that cannot give way to
+//! it, since that is held or a wall is behind it, as an [`Obstacle`]: impulses tell that not at all, or too late.
 
 use std::cell::Cell;
 
@@ -54,6 +54,9 @@ const UNDONE: f32 = 0.02;
 /// What moves by less for an impulse counts as immovable, 1/kg: a node that is held, against a finger that is pushed along
 /// itself. Nodes have some 10,000 1/kg, fingers some 50 across.
 pub(super) const LEAST_MOBILITY: f32 = 1.0;
+
+/// Overlap from which on skin is an [`Obstacle`], m; where it is held any overlap is. What can give way overlaps less.
+const OBSTRUCTS: f32 = 0.2e-3;
 
 /// Greatest speed with which overlaps are undone, m/s.
 const RECOVERY: f32 = 0.02;
@@ -161,14 +164,23 @@ impl Contacts {
         !self.work.candidates.are_none()
     }
 
-    /// Changes velocities of the body and of rigid ones by what contacts do in a substep.
-    pub(super) fn solve(&mut self, lattice: &mut Lattice, proxies: &mut [Proxy], seconds: f32) {
+    /// Changes velocities of the body and of rigid ones by what contacts do in a substep. Skin that is attached is no
+    /// obstacle to what carries it, unless it is held.
+    pub(super) fn solve(
+        &mut self,
+        lattice: &mut Lattice,
+        proxies: &mut [Proxy],
+        seconds: f32,
+        is_attached: bool,
+    ) {
         let contacts = self;
+        let obstructs = if is_attached { f32::INFINITY } else { OBSTRUCTS };
         with_widest_instructions!(solve(
             contacts: &mut Contacts,
             lattice: &mut Lattice,
             proxies: &mut [Proxy],
-            seconds: f32
+            seconds: f32,
+            obstructs: f32
         ));
     }
 
@@ -215,12 +227,18 @@ impl Contacts {
 }
 
 #[inline(always)]
-fn solve(contacts: &mut Contacts, lattice: &mut Lattice, proxies: &mut [Proxy], seconds: f32) {
+fn solve(
+    contacts: &mut Contacts,
+    lattice: &mut Lattice,
+    proxies: &mut [Proxy],
+    seconds: f32,
+    obstructs: f32,
+) {
     let Work { candidates, fixed, moving } = &mut contacts.work;
     let Candidates { resting, fixed: beside_fixed, moving: beside_moving, nodes, .. } = candidates;
     let moved = nodes.load_places(lattice);
-    detect::<true>(beside_fixed, fixed, &nodes.places, moved, proxies, seconds);
-    detect::<false>(beside_moving, moving, &nodes.places, moved, proxies, seconds);
+    detect::<true>(beside_fixed, fixed, &nodes.places, moved, proxies, seconds, obstructs);
+    detect::<false>(beside_moving, moving, &nodes.places, moved, proxies, seconds, obstructs);
     let scale = if contacts.warm_seconds > 0.0 { seconds / contacts.warm_seconds } else { 1.0 };
     contacts.warm_seconds = seconds;
     resting.start(lattice, scale);
@@ -231,13 +249,6 @@ fn solve(contacts: &mut Contacts, lattice: &mut Lattice, proxies: &mut [Proxy], 
     }
     for contact in &mut *moving {
         contact.start::<false>(beside_moving, scale, velocities, proxies);
-    }
-    nodes.store_velocities(lattice);
-    resting.solve(lattice, seconds);
-    nodes.load_velocities(lattice);
-    let velocities = &mut nodes.velocities;
-    for contact in &mut *fixed {
-        contact.solve::<true>(beside_fixed, velocities, proxies);
     }
     for sweep in 0..SWEEPS {
         let mut most: f32 = 0.0;
@@ -256,7 +267,11 @@ fn solve(contacts: &mut Contacts, lattice: &mut Lattice, proxies: &mut [Proxy], 
             break;
         }
     }
+    for contact in &mut *fixed {
+        contact.solve::<true>(beside_fixed, velocities, proxies);
+    }
     nodes.store_velocities(lattice);
+    resting.solve(lattice, seconds);
     report(beside_fixed, fixed, proxies);
     report(beside_moving, moving, proxies);
 }
@@ -325,7 +340,7 @@ pub(super) fn least_velocities<L: Lanes>(distances: L, seconds: f32) -> L {
 }
 
 /// Finds the contacts of this substep. `FIXED` says that what candidates are beside stands still; no node has moved by more
-/// than `moved` (m) since the substep before.
+/// than `moved` (m) since the substep before. Skin that is not held is an obstacle from an overlap of `obstructs` (m) on.
 #[inline(always)]
 fn detect<const FIXED: bool>(
     candidates: &mut [Candidate],
@@ -334,6 +349,7 @@ fn detect<const FIXED: bool>(
     moved: f32,
     proxies: &mut [Proxy],
     seconds: f32,
+    obstructs: f32,
 ) {
     contacts.clear();
     for (number, candidate) in (0_u32..).zip(candidates) {
@@ -350,13 +366,14 @@ fn detect<const FIXED: bool>(
             candidate.impulse = Vector3::zeros();
             continue;
         };
-        if !FIXED && candidate.corners.is_held() && gap.distance < 0.0 {
-            let (depth, into) = (-gap.distance, gap.normal);
+        let is_held = candidate.corners.is_held();
+        let (depth, into) = (-gap.distance, gap.normal);
+        if !FIXED && depth > if is_held { 0.0 } else { obstructs } {
             proxy.load.meet(Obstacle { depth, point, into });
         }
         let axes = axes(&gap.normal);
         let least = least_velocity(gap.distance, seconds);
-        let is_held = candidate.corners.is_held() && proxy.hinge.is_some();
+        let is_held = is_held && proxy.hinge.is_some();
         let least = if is_held { least.min(0.0) } else { least };
         let arm = point - proxy.centre;
         let (mut mobility, mut turns) = ([candidate.corners.mobility; 3], [f32x4::ZERO; 3]);

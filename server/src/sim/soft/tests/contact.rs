@@ -405,3 +405,24 @@ fn a_finger_that_is_pushed_into_the_edge_that_is_held_is_stopped_and_stirs_nothi
     println!("fastest {:.3} m/s, pressed with {:.1} N", most[0], most[1]);
     assert!(most[0] < 1.0 && most[1] < 100.0, "{most:?}");
 }
+
+#[test]
+fn a_sheet_that_jaws_press_on_a_plate_is_in_neither() {
+    let mut world = World::new(Solver::LIGHT);
+    let plate = Pose::translation(0.0, 0.0, -0.01);
+    world.insert(Motion::Fixed, &plate, 1.0, &[cuboid([0.1, 0.1, 0.01])]);
+    let material = with_friction(material(10e3, 0.1, 1040.0), 1.0);
+    let at = Pose::translation(0.0, 0.0, 1.25e-3);
+    let id = world.insert_soft(block([8, 8, 1], 2.5e-3, material, &at, |_| false));
+    let above = |z: f64| down([8e-3, 0.0, z], JAW_CLOSED);
+    let mut jaws = Instrument::with_jaws(&mut world, above(5e-3), 0.5, Jaws::TISSUE_FORCEPS);
+    carry_out([&mut jaws], &mut world, [above(5e-3)], 4);
+    let mut deepest: f64 = 0.0;
+    for step in 1..=8 {
+        let target = above((5e-3 - 1e-3 * f64::from(step)).max(0.0));
+        carry_out([&mut jaws], &mut world, [target], 24);
+        deepest = deepest.max(world.soft_overlap(world.soft(id)));
+    }
+    println!("at most {:.3} mm deep", 1e3 * deepest);
+    assert!(deepest < 0.3e-3, "{deepest}");
+}
