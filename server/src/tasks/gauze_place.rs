@@ -25,9 +25,9 @@
 //!
 //! | Num | Meaning | Min | Max | Unit |
 //! |---|---|---|---|---|
-//! | 0 | wrist x (wrist-yaw axis, as sensed), scene frame | 0.495 | 0.605 | m |
-//! | 1 | wrist y | −0.055 | 0.055 | m |
-//! | 2 | wrist z | 0.6842 | 0.7722 | m |
+//! | 0 | wrist x (wrist-yaw axis, as sensed), scene frame | 0.493 | 0.607 | m |
+//! | 1 | wrist y | −0.057 | 0.057 | m |
+//! | 2 | wrist z | 0.6822 | 0.7742 | m |
 //! | 3 | roll of the wrist link; −π/2 under `paper` | −π | π | rad |
 //! | 4 | pitch; 0 under `paper` | −π/2 | π/2 | rad |
 //! | 5 | yaw | −π | π | rad |
@@ -303,7 +303,7 @@ impl Task for GauzePlace {
     }
 
     fn state(&self, world: &World, state: &mut State<'_>) {
-        self.arm.state(world, state);
+        tissue_task::arm_state(&self.arm, world, state);
         let (middle, wrist) = (self.at(world), self.arm.scene_from_wrist());
         objects::position_and_from_wrist("gauze", &middle, wrist, Preset::Paper, state);
         for (index, at) in world.soft(self.gauze).points(&self.outline).enumerate() {

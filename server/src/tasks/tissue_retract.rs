@@ -27,9 +27,9 @@
 //!
 //! | Num | Meaning | Min | Max | Unit |
 //! |---|---|---|---|---|
-//! | 0 | wrist x (wrist-yaw axis, as sensed), scene frame | 0.495 | 0.605 | m |
-//! | 1 | wrist y | −0.055 | 0.055 | m |
-//! | 2 | wrist z | 0.6842 | 0.7722 | m |
+//! | 0 | wrist x (wrist-yaw axis, as sensed), scene frame | 0.493 | 0.607 | m |
+//! | 1 | wrist y | −0.057 | 0.057 | m |
+//! | 2 | wrist z | 0.6822 | 0.7742 | m |
 //! | 3 | roll of the wrist link; −π/2 under `paper` | −π | π | rad |
 //! | 4 | pitch; 0 under `paper` | −π/2 | π/2 | rad |
 //! | 5 | yaw | −π | π | rad |
