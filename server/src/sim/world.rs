@@ -218,7 +218,7 @@ pub struct World {
     advancing: usize,
     /// What soft bodies did to rigid ones in the last substep.
     soft_touches: Vec<soft::SoftTouch>,
-    /// Where rigid bodies were in skin that cannot give way.
+    /// Where rigid bodies were in skin that has not given way.
     soft_obstacles: Vec<(RigidBodyHandle, Overlap)>,
     /// The free objects that passed this substep beside soft bodies.
     passed: Vec<soft::PassedObject>,

@@ -5,8 +5,8 @@
 //! - **Yield**: where an object that is in the way pushes back too hard or is pressed into what is
 //!   behind it, an instrument goes back along its path instead of forward; just before, it waits.
 //!   Where its path does not lead out of what it presses on, or it is jammed, one that grips gives way,
-//!   as a real arm bends. From what its own jaws crush it does not: that would come along. Skin of tissue that
-//!   cannot give way is such an object.
+//!   as a real arm bends. From what its own jaws crush it does not: that would come along. In the way is
+//!   also skin of tissue that is held, or too deep in the instrument.
 //! - **Crush**: jaws that press too deep into what they hold open: what they close on near their hinge
 //!   they would squeeze with many times their force at the tip, and keep.
 //! - **Static bodies** stop an instrument that grips before wrist or fingers are in them: fingers give way to

@@ -17,8 +17,8 @@
 //! instrument presses skin into a wall, the wall has its way. Most of these are [`resting`](super::resting) on a flat face.
 //!
 //! A sample that is held only stops a finger: it undoes no overlap, begins with no impulse, and is solved once. A finger
-//! between two of them can obey neither, and impulses would grow without end. An instrument sees skin that cannot give way to
-//! it, since that is held or a wall is behind it, as an [`Obstacle`]: impulses tell that not at all, or too late.
+//! between two of them can obey neither, and impulses would grow without end. What has not given way to an instrument, since it
+//! is held, or pressed on something else, is an [`Obstacle`] to that: impulses tell so not at all, or too late.
 
 use std::cell::Cell;
 

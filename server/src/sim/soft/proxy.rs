@@ -98,11 +98,11 @@ pub(in crate::sim) struct Load {
     pub attached: Vector3<f64>,
     /// Mean pressure over the skin that pressed, Pa; on what does not move it is 0.
     pub pressure: f64,
-    /// The deepest overlap with skin that cannot give way.
+    /// The deepest overlap with skin that has not given way.
     pub obstacle: Option<Obstacle>,
 }
 
-/// Where a rigid body overlaps with skin that is held, or that is pressed against something else.
+/// Where a rigid body overlaps with skin that is held, or deeper than skin does that can give way.
 #[derive(Debug, Clone, Copy)]
 pub(in crate::sim) struct Obstacle {
     /// How deep, m.
@@ -131,7 +131,7 @@ impl Load {
         self.moment += point.cast::<f64>() * normal;
     }
 
-    /// Takes note of an overlap with skin that cannot give way.
+    /// Takes note of an overlap with skin that has not given way.
     pub(super) fn meet(&mut self, obstacle: Obstacle) {
         if self.obstacle.is_none_or(|deepest| deepest.depth < obstacle.depth) {
             self.obstacle = Some(obstacle);

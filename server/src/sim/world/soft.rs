@@ -7,7 +7,7 @@
 //!   passed it already. It is put where it came to.
 //! - Other fingers, and those that a second soft body touches, get the torque as a change of their rate of turning. Other
 //!   objects get both impulses as a change of their velocities.
-//! - What is driven gets nothing: its instrument sees the forces, and skin that cannot give way ([`World::push_on`]).
+//! - What is driven gets nothing: its instrument sees the forces, and skin that has not given way ([`World::push_on`]).
 
 use std::any::Any;
 
