@@ -29,7 +29,7 @@ PLOT_VENV := .venv-plot
 WHEEL_TESTS := $(addprefix tests/test_,$(addsuffix .py,conventions env front_door goals package reset_options seeds vector)) \
 	-k "not stubs" -m "not grasp and not tissue"
 # Python files under ruff, as seen from client-py/, whose pyproject.toml has the rules.
-PYTHON_CODE := . ../tests/prose.py ../tests/vocabulary.py ../server/cli/src/demo ../server/cli/src/bench ../server/cli/src/load ../server/view/tests ../tests/ros2 ../tests/mujoco_twin
+PYTHON_CODE := . ../tests/prose.py ../tests/vocabulary.py ../tests/documents.py ../server/cli/src/demo ../server/cli/src/bench ../server/cli/src/load ../server/view/tests ../tests/ros2 ../tests/mujoco_twin
 # What people train with, each with the Gymnasium that it needs.
 RL_BIN := $(abspath .venv-rl/bin)
 MUJOCO_BIN := $(abspath .venv-mujoco/bin)
@@ -167,6 +167,7 @@ lint-viewer:
 lint-prose:
 	$(PYTHON) tests/prose.py
 	$(PYTHON) tests/vocabulary.py
+	$(PYTHON) tests/documents.py
 
 .PHONY: test-rust
 test-rust: ## Rust: unit, task suite, command, multi-process (reduced counts)
@@ -184,7 +185,7 @@ test-faults: ## calls of the kernel fail, one after the other, by strace, which 
 
 .PHONY: test-python
 test-python: develop ## * Python with the newest Gymnasium: types, stubs, tests
-	cd client-py && $(BIN)/mypy && $(BIN)/mypy ../tests/prose.py ../tests/vocabulary.py && for worker in demo bench load; do $(BIN)/mypy ../server/cli/src/$$worker/worker.py; done
+	cd client-py && $(BIN)/mypy && $(BIN)/mypy ../tests/prose.py ../tests/vocabulary.py ../tests/documents.py && for worker in demo bench load; do $(BIN)/mypy ../server/cli/src/$$worker/worker.py; done
 	cd client-py && MYPYPATH=python:../tests $(BIN)/mypy ../tests/mujoco_twin/*.py
 	cd client-py && TROCAR_BINARY=$(TARGET)/debug/trocar $(BIN)/python -m pytest -n auto --maxprocesses 4 --dist worksteal
 	TROCAR_PYTHON=$(BIN)/python $(CARGO) test $(RUST) --test load python_clients

@@ -10,7 +10,7 @@ from statistics import mean, median
 from typing import Any
 
 from trocar.registration import TASKS
-from trocar.rl.cards import AS_TRAINED
+from trocar.rl.cards import AS_TRAINED, held_out_mark
 from trocar.rl.config import ALGORITHMS
 from trocar.rl.curves import curves, is_of_returns, label, plot, write_table
 from trocar.rl.runs import Run
@@ -28,6 +28,8 @@ mean, and how they compare with the paper, is told in [docs/paper.md](../../../.
 - **late fall**: how far the mean of a run's last three scores lies below its best, in points.
 - **trainer**, **server**, **wall**: medians over seeds of what a whole run took, with its scores,
   on machines with two cores that did other things too. PyTorch had one thread.
+- **†**: not held out. Episodes of NeedleRegrasp, and of a `start` other than `reset`, begin in 64
+  prepared states, in training and in evaluation alike; only the goals differ.
 
 """
 TESTED = """
@@ -113,7 +115,7 @@ def _row(task: str, name: str, runs: list[Run]) -> list[str]:
     }
     unit = "" if is_of_returns(task) else " %"
     return [
-        task.removesuffix("-v0"),
+        task.removesuffix("-v0") + held_out_mark(runs[0].config),
         name,
         _joined(run.seed for run in runs),
         _joined(f"{value:.1f}" for value in results) or "-",
