@@ -56,6 +56,13 @@ pub fn euler_xyz(rotation: &UnitQuaternion<f64>) -> [f64; 3] {
     [wrapped(roll), pitch, wrapped(yaw)]
 }
 
+/// Rotation vector (axis times angle, rad) of the shorter of the two arcs that a unit quaternion stands for: the angle is in
+/// [0, π]. `q` and `−q` are the same rotation, but the engine reads the angle of `q` from its scalar part and gives up to 2π.
+pub(super) fn rotation_vector(rotation: EngineRotation) -> EngineVector {
+    let shorter = if rotation.w < 0.0 { -rotation } else { rotation };
+    shorter.to_scaled_axis()
+}
+
 /// Moves from `start` (0) to `end` (1): straight in position, along the shorter arc in rotation.
 pub fn interpolate(start: &Pose, end: &Pose, fraction: f64) -> Pose {
     let translation = start.translation.vector.lerp(&end.translation.vector, fraction);

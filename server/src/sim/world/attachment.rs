@@ -4,7 +4,7 @@ use rapier3d::math::{Pose as EnginePose, Vector};
 use rapier3d::prelude::{Group, InteractionGroups, InteractionTestMode, RigidBodyHandle};
 
 use super::constraint::{Constraints, Joint, Spatial};
-use super::{BodyId, World};
+use super::{BodyId, World, frames};
 
 /// What attaches a body to another; see [`World::attach`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -61,7 +61,7 @@ impl World {
         let wanted = *carrier.position() * attachment.carrier_from_object;
         let centre = object.center_of_mass();
         let offset = centre - wanted.transform_point(mass.local_com);
-        let turn = (*object.rotation() * wanted.rotation.inverse()).to_scaled_axis();
+        let turn = frames::rotation_vector(*object.rotation() * wanted.rotation.inverse());
         let [velocity, rate] = [carrier.velocity_at_point(centre), carrier.angvel()];
         let principal = *object.rotation() * mass.principal_inertia_local_frame;
         for (index, axis) in [Vector::X, Vector::Y, Vector::Z].into_iter().enumerate() {

@@ -483,7 +483,7 @@ impl World {
             return [frames::from_engine_vector(body.linvel()), rate_from_engine(body.angvel())];
         }
         let next = self.next_pose(handle, body);
-        let turn = (next.rotation * body.position().rotation.inverse()).to_scaled_axis();
+        let turn = frames::rotation_vector(next.rotation * body.position().rotation.inverse());
         let way = next.translation - body.position().translation;
         [frames::from_engine_vector(way), rate_from_engine(turn)]
             .map(|way| way * SUBSTEPS_PER_SECOND)

@@ -12,7 +12,7 @@ use super::attachment::Attachment;
 use super::constraint::{Constraints, ContactPoint, ContactSide, Friction, SolverBody, Spatial};
 use super::points::{self, Point};
 use super::{PREDICTION, RESTING_SPEED, SUBSTEPS_PER_SECOND, Solver, World, gravity};
-use crate::sim::frames::SCALE;
+use crate::sim::frames::{self, SCALE};
 
 /// Distance up to which a point of a contact counts as the same as one of the substep before, m.
 const SAME_POINT: f64 = 0.3e-3;
@@ -85,7 +85,7 @@ impl World {
             let velocity = next.map_or([Vector::ZERO; 2], |next| {
                 let turn = next.rotation * body.position().rotation.inverse();
                 let way = next.translation - body.position().translation;
-                [way / DT, turn.to_scaled_axis() / DT]
+                [way / DT, frames::rotation_vector(turn) / DT]
             });
             if velocity != [body.linvel(), body.angvel()] {
                 let body = &mut self.bodies[*handle];

@@ -1,5 +1,7 @@
 //! Bodies that fall, lie, are pushed and are cloned.
 
+use nalgebra::UnitQuaternion;
+
 use super::*;
 
 fn cube(half: f64) -> Part {
@@ -97,4 +99,20 @@ fn a_clone_goes_on_bit_by_bit_like_the_original() {
     for pair in bits.chunks(2) {
         assert_eq!(pair[0], pair[1]);
     }
+}
+
+#[test]
+fn a_pose_of_opposite_sign_turns_a_driven_body_along_the_shorter_arc() {
+    let mut world = World::new(Solver::LIGHT);
+    let start = frames::pose([0.0, 0.0, 0.05], [0.1, 0.2, 0.3]);
+    let body = world.insert(Motion::Driven, &start, 0.5, &[cube(0.005)]);
+    let angle = 0.01; // rad, about the body's x axis
+    let mut next = start;
+    next.rotation *= UnitQuaternion::from_scaled_axis(Vector3::x() * angle);
+    next.rotation = UnitQuaternion::new_unchecked(-next.rotation.into_inner());
+    world.drive(body, &next);
+    world.advance();
+    let rate = f64::from(world.bodies[body.0].angvel().length());
+    // Single precision: an angle of 0.01 rad has an error of 1e-5 rad or less.
+    assert!((rate / SUBSTEPS_PER_SECOND - angle).abs() < 1e-5, "{rate} rad/s");
 }
