@@ -176,6 +176,18 @@ def test_the_command_line_says_what_is_wrong(server: str) -> None:
     assert "trocar serve --name no-such-server" in done.stderr
 
 
+def test_a_script_imports_modules_of_its_own_folder(server: str, tmp_path: Path) -> None:
+    """``sys.path[0]`` is the script's folder, as under Python itself."""
+    (tmp_path / "lab_poses.py").write_text("ABOVE = 0.12\n")
+    script = tmp_path / "main.py"
+    script.write_text(
+        "import sys\nimport crtk.utils\nfrom crtk.utils import utils\nimport lab_poses\n"
+        "print(lab_poses.ABOVE, sys.path[0], crtk.utils is utils)\n"
+    )
+    process = run(server, str(script))
+    assert process.stdout.split() == ["0.12", str(tmp_path.resolve()), "True"], process.stderr
+
+
 def test_names_are_in_place_only_where_a_script_is_run() -> None:
     """No package of these names is installed."""
     for name in ("crtk", "dvrk"):

@@ -31,6 +31,10 @@ def put_in_place(world: dvrk.World) -> None:
         setattr(below, name, member)
         modules[f"dvrk.{name}"] = below
     modules["dvrk"].__path__ = []
+    # `crtk.utils` is a module of the package and the class of that name, as in CRTK's client.
+    modules["crtk"].__path__ = []
+    modules["crtk.utils"] = types.ModuleType("crtk.utils", crtk.utils.__doc__)
+    modules["crtk.utils"].utils = crtk.utils
     try:
         import PyKDL  # noqa: F401
     except ImportError:
@@ -117,6 +121,9 @@ def main() -> None:
     clock = (time.sleep, time.time)
     put_in_place(world)
     sys.argv = [given.script, *given.args]
+    # A folder or an archive is added by `run_path`.
+    if Path(given.script).is_file() and not getattr(sys.flags, "safe_path", False):
+        sys.path.insert(0, str(Path(given.script).resolve().parent))
     try:
         runpy.run_path(given.script, run_name="__main__")
     finally:
