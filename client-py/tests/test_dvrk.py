@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import signal
 import subprocess
 import sys
 import time
@@ -138,6 +139,38 @@ def test_what_a_script_did_is_recorded_and_plays_again(server: str, tmp_path: Pa
     assert (row["task"], row["success"], row["failed"]) == ("NeedlePick-v0", True, False)
     assert row["snapshots"] >= 5
     assert film.stat().st_size > 10_000
+
+
+@pytest.mark.parametrize("word", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_ends_a_script_and_writes_its_recording(
+    server: str, tmp_path: Path, word: signal.Signals
+) -> None:
+    """Batch systems and containers end programs by SIGTERM."""
+    target, script = tmp_path / "recording.trocar", tmp_path / "forever.py"
+    script.write_text("import time\nprint('ready', flush=True)\nwhile True:\n    time.sleep(0.1)\n")
+    command = [sys.executable, "-m", "trocar.dvrk", "--server", server, "--record", str(target)]
+    with subprocess.Popen([*command, str(script)], stdout=subprocess.PIPE, text=True) as child:
+        assert child.stdout is not None
+        assert child.stdout.readline() == "ready\n"
+        child.send_signal(word)
+        child.wait(30)
+    assert target.stat().st_size > 0
+
+
+def test_a_recording_that_cannot_be_written_is_refused_at_once(server: str, tmp_path: Path) -> None:
+    """The script does not run, and one line names the path."""
+    script = tmp_path / "script.py"
+    script.write_text("print('ran')\n")
+    for target in (tmp_path / "no" / "folder.trocar", tmp_path):
+        process = run(server, "--record", str(target), str(script))
+        assert process.returncode == 2
+        assert "ran" not in process.stdout
+        assert str(target) in process.stderr.splitlines()[-1]
+    command = [sys.executable, "-m", "trocar.dvrk.deploy", "NeedleReach", "--log", "/proc"]
+    process = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+    assert process.returncode == 2
+    assert "--log" in process.stderr
+    assert "Traceback" not in process.stderr
 
 
 def test_a_world_comes_back_to_what_was_kept(psm: Any, world: dvrk.World) -> None:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import argparse
 import runpy
+import signal
 import sys
 import time
 import types
@@ -42,6 +43,24 @@ def put_in_place(world: dvrk.World) -> None:
     sys.modules.update(modules)
     time.sleep = world.sleep  # type: ignore[assignment]
     time.time = world.now
+
+
+def recording(text: str) -> Path:
+    """Path of a recording, if a file can be written there."""
+    path = Path(text)
+    try:
+        is_new = not path.exists()
+        path.open("ab").close()
+        if is_new:
+            path.unlink()
+    except OSError as error:
+        raise argparse.ArgumentTypeError(f"{path}: {error.strerror}") from None
+    return path.absolute()
+
+
+def terminate(number: int, _: object) -> None:
+    """Ends the script on a signal, with the shell's exit status for that signal."""
+    raise SystemExit(128 + number)
 
 
 def speed(text: str) -> float | None:
@@ -86,7 +105,7 @@ def arguments() -> argparse.Namespace:
     )
     parser.add_argument(
         "--record",
-        type=Path,
+        type=recording,
         metavar="FILE.trocar",
         help="write what was done, for `trocar replay`",
     )
@@ -124,6 +143,8 @@ def main() -> None:
     # A folder or an archive is added by `run_path`.
     if Path(given.script).is_file() and not getattr(sys.flags, "safe_path", False):
         sys.path.insert(0, str(Path(given.script).resolve().parent))
+    # SIGTERM is to write the recording, as Ctrl-C does.
+    signal.signal(signal.SIGTERM, terminate)
     try:
         runpy.run_path(given.script, run_name="__main__")
     finally:

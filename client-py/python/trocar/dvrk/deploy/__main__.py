@@ -9,6 +9,7 @@ from __future__ import annotations
 import argparse
 import json
 import sys
+import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -201,6 +202,21 @@ COLOURS = {"target": Colour((214.0, 31.0, 33.0)), "block": Colour((29.0, 106.0, 
 """Colours of things in Trocar's pictures."""
 
 
+def check_folder(path: Path) -> None:
+    """Makes the folder of ``--log``, and checks that a file can be written there.
+
+    Raises:
+        InvalidOption: No file can be written there.
+    """
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=path):
+            pass
+    except OSError as error:
+        allowed = f"expected a folder for files: {error.strerror}"
+        raise refuse(InvalidOption, "--log", str(path), allowed) from None
+
+
 def made(given: argparse.Namespace, told: Any) -> Runner:
     """The runner that a command line asks for."""
     policy = policies.load(given.policy)
@@ -208,6 +224,8 @@ def made(given: argparse.Namespace, told: Any) -> Runner:
         raise refuse(InvalidOption, "--task", None, "the policy names no task, so this must")
     if given.plot and given.log is None:
         raise refuse(InvalidOption, "--plot", True, "it draws the files of --log FOLDER")
+    if given.log is not None:
+        check_folder(given.log)
     chosen = {flag.replace("-", "_"): getattr(given, flag.replace("-", "_")) for flag, *_ in LIMITS}
     limits = Limits(**chosen, box=given.box)
     wanted = {**policy.options, **options(given.option)}
