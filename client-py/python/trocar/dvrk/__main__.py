@@ -2,26 +2,30 @@
 
 The names ``crtk``, ``dvrk`` and, where there is none, ``PyKDL`` are put in place for this process
 only. So is the script's clock: ``time.sleep`` lets the world's time pass, ``time.time`` tells it.
+In lock-step, other clocks and waits of Python do so as well: see :mod:`trocar.dvrk._clock`.
 """
 
 from __future__ import annotations
 
 import argparse
+import contextlib
 import runpy
 import signal
 import sys
 import time
 import types
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 from trocar import dvrk
 from trocar.dvrk import arms, crtk, kdl
+from trocar.dvrk._clock import Clock
 from trocar.errors import TrocarError
 
 
 def put_in_place(world: dvrk.World) -> None:
-    """Lets scripts import what they import on a real robot, and sleep in the world's time."""
+    """Lets scripts import what they import on a real robot."""
     dvrk.use(world)
     modules: dict[str, Any] = {"crtk": crtk, "dvrk": types.ModuleType("dvrk", arms.__doc__)}
     for name in arms.__all__:
@@ -41,8 +45,23 @@ def put_in_place(world: dvrk.World) -> None:
     except ImportError:
         modules["PyKDL"] = kdl
     sys.modules.update(modules)
+
+
+@contextlib.contextmanager
+def clock_in_place(world: dvrk.World, is_lock_step: bool) -> Iterator[None]:
+    """Puts the world's clock in the place of Python's."""
+    if is_lock_step:
+        world.clock = Clock(world)
+        with world.clock.in_place():
+            yield
+        return
+    kept = (time.sleep, time.time)
     time.sleep = world.sleep  # type: ignore[assignment]
     time.time = world.now
+    try:
+        yield
+    finally:
+        time.sleep, time.time = kept
 
 
 def recording(text: str) -> Path:
@@ -137,7 +156,6 @@ def main() -> None:
         )
     except TrocarError as error:
         sys.exit(f"trocar.dvrk: {error}")
-    clock = (time.sleep, time.time)
     put_in_place(world)
     sys.argv = [given.script, *given.args]
     # A folder or an archive is added by `run_path`.
@@ -146,9 +164,9 @@ def main() -> None:
     # SIGTERM is to write the recording, as Ctrl-C does.
     signal.signal(signal.SIGTERM, terminate)
     try:
-        runpy.run_path(given.script, run_name="__main__")
+        with clock_in_place(world, given.speed is None):
+            runpy.run_path(given.script, run_name="__main__")
     finally:
-        time.sleep, time.time = clock
         dvrk.use(None)
         if given.record:
             given.record.write_bytes(world.live.recording())

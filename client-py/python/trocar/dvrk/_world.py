@@ -10,6 +10,7 @@ from typing import Any
 
 from trocar import _trocar
 from trocar._connection import connect
+from trocar.dvrk._clock import Clock
 from trocar.errors import TrocarError
 
 TICKS = 240
@@ -99,6 +100,8 @@ class World:
         self.feeds = {name: Feed() for name in self.live.arms}
         self.objects = {name.replace(" ", "_"): name for name in self.live.objects}
         """Names of the objects, by those that they have as namespaces."""
+        self.clock: Clock | None = None
+        """The clock that the threads of a script share in lock-step, once it is in place."""
         self._complain = complain
         self._speed = speed
         self._lock = threading.RLock()
@@ -136,13 +139,14 @@ class World:
         """Lets time pass."""
         if seconds < 0.0:
             raise ValueError("sleep length must be non-negative")
+        if self.clock is not None:
+            self.clock.sleep(seconds)
+            return
         with self._lock:
             if self._speed is None:
-                self._passed += seconds
-                # A hair more, so that sums of decimal fractions come to their ticks.
-                due = math.floor(self._passed * TICKS + 1e-6) - self.live.ticks
-                while due > 0:
-                    due -= self._advance(min(due, LONGEST))
+                due = self._passed + seconds
+                while self._passed < due:
+                    self.come_to(due)
                 return
             if self._commanded:
                 self.look()
@@ -152,15 +156,34 @@ class World:
         """Lets time pass until something holds, at most for so many seconds; whether it does."""
         deadline = self.elapsed() + timeout
         self.look()
+        if self.clock is not None:
+            return holds() or self.clock.until(holds, timeout, on_events=True)
         while not holds():
-            left = deadline - self.elapsed()
-            if left <= 0.0:
+            if self.elapsed() >= deadline:
                 return False
-            with self._lock:
-                ticks = max(1, min(LONGEST, math.ceil(left * TICKS)))
-                self._advance(ticks, until_event=True)
-                self._passed = max(self._passed, self.live.ticks / TICKS)
+            self.come_to(deadline, until_event=True, exactly=False)
         return True
+
+    def come_to(self, moment: float, until_event: bool = False, exactly: bool = True) -> None:
+        """Lets time pass as far as one message goes, until a moment of :meth:`elapsed` at most.
+
+        Args:
+            moment: When it ends.
+            until_event: Whether it ends with an arm's event before.
+            exactly: Whether the last tick is the one before the moment, and not the one after.
+        """
+        with self._lock:
+            if exactly:
+                # A hair more, so that sums of decimal fractions come to their ticks.
+                due = math.floor(moment * TICKS + 1e-6) - self.live.ticks
+            else:
+                due = max(1, math.ceil((moment - self.elapsed()) * TICKS))
+            if due > 0:
+                due -= self._advance(min(due, LONGEST), until_event)
+            if exactly and due <= 0:
+                self._passed = max(self._passed, moment)
+            else:
+                self._passed = max(self._passed, self.live.ticks / TICKS)
 
     def _advance(self, ticks: int, until_event: bool = False) -> int:
         self._commanded = False
@@ -176,6 +199,7 @@ class World:
         self, arm: str, topic: str, numbers: Any = (), more: Any = (), text: str = ""
     ) -> None:
         """Gives an arm a command, which it takes with the next tick or look."""
+        self._use_clock()
         with self._lock:
             self.live.command(arm, topic, numbers, more, text)
             self._commanded = True
@@ -194,6 +218,7 @@ class World:
 
     def read(self) -> None:
         """Sees to it that what is read next is as new as it can be."""
+        self._use_clock()
         with self._lock:
             if self._speed is not None:
                 if self._commanded or _clock() - self._looked[0] > FRESH:
@@ -203,6 +228,10 @@ class World:
             if self._reads > PATIENT_READS:
                 self._advance(1)
                 self._passed = max(self._passed, self.live.ticks / TICKS)
+
+    def _use_clock(self) -> None:
+        if self.clock is not None:
+            self.clock.use()
 
     def _listen(self) -> None:
         self._looked = (_clock(), self.live.ticks)
