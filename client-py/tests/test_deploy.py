@@ -407,6 +407,33 @@ def test_a_goal_that_cannot_be_is_refused_before_the_arm_moves(
     assert_holds(robot)
 
 
+@pytest.mark.parametrize(
+    ("option", "value", "words"),
+    [
+        ("--floor", "nan", "must be finite"),
+        ("--floor", "inf", "must be finite"),
+        ("--floor", "9", "allowed are heights from"),
+        ("--frame", "psm1=0,0,0.1,0,0,0,1", "allowed arms are"),
+        ("--frame", "PSM9=0,0,0.1,0,0,0,1", "allowed arms are"),
+        ("--frame", "PSM1=nan,0,0,0,0,0,1", "must be finite"),
+        ("--frame", "PSM1=0,0,0,0,0,0,2", "a quaternion of length 1"),
+        ("--colour", "targte=1,2,3", "allowed names are"),
+        ("--colour", "target=300,0,0", "from 0 to 255"),
+        ("--colour", "target=nan,0,0", "must be finite"),
+        ("--episodes", "0", "from 1 on"),
+    ],
+)
+def test_safety_options_outside_of_their_range_are_refused(
+    server: str, capsys: pytest.CaptureFixture[str], option: str, value: str, words: str
+) -> None:
+    given = ["NeedleReach", "--server", server, "--steps", "2", option, value]
+    assert main(given) == 2
+    message = capsys.readouterr().err
+    assert option in message
+    assert value in message
+    assert words in message
+
+
 def test_jaws_that_point_elsewhere_are_refused_or_brought_to_the_start(
     pick: Task, robot: LiveRobot
 ) -> None:

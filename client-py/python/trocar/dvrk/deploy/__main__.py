@@ -8,9 +8,10 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import sys
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -126,7 +127,6 @@ def parser() -> argparse.ArgumentParser:
     )
     parser.add_argument(
         "--floor",
-        type=float,
         metavar="Z",
         help="lowest height of tips in the scene, m (the task's)",
     )
@@ -168,35 +168,73 @@ def options(given: Sequence[str]) -> dict[str, Any]:
     return found
 
 
-def frames(given: Sequence[str]) -> dict[str, Pose]:
-    """Reference frames of arms."""
+def finite(flag: str, text: str, allowed: str) -> tuple[float, ...]:
+    """The finite numbers between commas of an option: a value, or NAME=VALUE.
+
+    Raises:
+        trocar.errors.InvalidOption: A part is not a number, or not finite.
+    """
+    try:
+        found = numbers(text.rpartition("=")[2])
+    except ValueError:
+        raise refuse(InvalidOption, flag, text, allowed) from None
+    if not np.isfinite(found).all():
+        raise refuse(InvalidOption, flag, text, f"{allowed}; every number must be finite")
+    return found
+
+
+def frames(given: Sequence[str], arms: Collection[str]) -> dict[str, Pose]:
+    """Reference frames of arms, which must be among the arms of the task."""
+    expected = (
+        "ARM=x,y,z,x,y,z,w was expected, a position (m) and a quaternion of length 1 "
+        f"(within {UNIT_TOLERANCE})"
+    )
     found = {}
     for assignment in given:
-        arm, _, value = assignment.partition("=")
-        try:
-            place = numbers(value)
-        except ValueError:
-            place = ()
-        if len(place) != 7 or sum(number * number for number in place[3:]) < 0.5:
-            allowed = "ARM=x,y,z,x,y,z,w was expected, a position and a quaternion of length 1"
-            raise refuse(InvalidOption, "--frame", assignment, allowed)
+        arm = assignment.partition("=")[0]
+        if arm not in arms:
+            raise refuse(InvalidOption, "--frame", assignment, f"allowed arms are {sorted(arms)}")
+        place = finite("--frame", assignment, expected)
+        if len(place) != 7 or abs(math.hypot(*place[3:]) - 1.0) > UNIT_TOLERANCE:
+            raise refuse(InvalidOption, "--frame", assignment, expected)
         found[arm] = Pose.of_numbers(place)
     return found
 
 
-def colours(given: Sequence[str]) -> dict[str, Colour]:
-    """Colours of things."""
+def colours(given: Sequence[str], names: Collection[str]) -> dict[str, Colour]:
+    """Colours of objects, which must be among the names."""
+    expected = "NAME=R,G,B was expected, three numbers from 0 to 255"
     found = {}
     for assignment in given:
-        name, _, value = assignment.partition("=")
-        try:
-            red, green, blue = numbers(value)
-        except ValueError:
-            allowed = "NAME=R,G,B was expected, three numbers from 0 to 255"
-            raise refuse(InvalidOption, "--colour", assignment, allowed) from None
-        found[name] = Colour((red, green, blue))
+        name = assignment.partition("=")[0]
+        if name not in names:
+            allowed = f"allowed names are {sorted(names)}"
+            raise refuse(InvalidOption, "--colour", assignment, allowed)
+        parts = finite("--colour", assignment, expected)
+        if len(parts) != 3 or not all(0.0 <= part <= 255.0 for part in parts):
+            raise refuse(InvalidOption, "--colour", assignment, expected)
+        found[name] = Colour((parts[0], parts[1], parts[2]))
     return found
 
+
+def floor(task: Task, text: str) -> Task:
+    """The task with a lowest height of tips near the task's own."""
+    if not task.lowest:
+        raise refuse(InvalidOption, "--floor", text, "the task moves no arm with a tip")
+    low = min(task.lowest.values()) - FLOOR_MARGIN
+    high = min(float(upper[2]) for _, upper in task.boxes.values())
+    allowed = f"allowed are heights from {low:.4f} to {high:.4f} m, scene frame"
+    heights = finite("--floor", text, allowed)
+    if len(heights) != 1 or not low <= heights[0] <= high:
+        raise refuse(InvalidOption, "--floor", text, allowed)
+    return task.with_floor(heights[0])
+
+
+UNIT_TOLERANCE = 1e-2
+"""Greatest difference of a quaternion's length from 1: of numbers rounded to two digits."""
+
+FLOOR_MARGIN = 0.05
+"""Greatest depth of a floor below the task's own, m: of trays that stand lower."""
 
 COLOURS = {"target": Colour((214.0, 31.0, 33.0)), "block": Colour((29.0, 106.0, 207.0))}
 """Colours of things in Trocar's pictures."""
@@ -219,6 +257,8 @@ def check_folder(path: Path) -> None:
 
 def made(given: argparse.Namespace, told: Any) -> Runner:
     """The runner that a command line asks for."""
+    if given.episodes < 1:
+        raise refuse(InvalidOption, "--episodes", given.episodes, "allowed are numbers from 1 on")
     policy = policies.load(given.policy)
     if given.task is None and policy.task is None:
         raise refuse(InvalidOption, "--task", None, "the policy names no task, so this must")
@@ -230,10 +270,12 @@ def made(given: argparse.Namespace, told: Any) -> Runner:
     limits = Limits(**chosen, box=given.box)
     wanted = {**policy.options, **options(given.option)}
     task = Task.open(str(given.task or policy.task), server=given.server, **wanted)
-    task = task if given.floor is None else task.with_floor(given.floor)
+    task = task if given.floor is None else floor(task, given.floor)
     policy.check(task.spec)
     layout = Layout(task)
-    robot = robots.named(given.robot, task, frames(given.frame), given.server, given.speed)
+    bases = frames(given.frame, task.bases)
+    chosen_colours = colours(given.colour, {"target", *task.objects})
+    robot = robots.named(given.robot, task, bases, given.server, given.speed)
     try:
         source: Source
         if given.poses == "topics":
@@ -241,7 +283,7 @@ def made(given: argparse.Namespace, told: Any) -> Runner:
         elif given.poses == "pictures":
             call = policies.function(given.pictures, "--pictures") if given.pictures else None
             goal = robot.goal if given.goal is None else lambda: np.array(given.goal)
-            found = COLOURS | colours(given.colour)
+            found = COLOURS | chosen_colours
             board = Board.read(given.board) if given.board else None
             source = Pictures(call or robot.pictures, layout, found, goal, board=board)
         else:
