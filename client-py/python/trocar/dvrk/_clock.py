@@ -292,7 +292,7 @@ def datetime_of(now: Callable[[], float]) -> type[datetime.datetime]:
         def __subclasscheck__(cls, subclass: type) -> bool:
             return issubclass(subclass, real)
 
-    class Clocked(real, metaclass=Kind):
+    class Clocked(datetime.datetime, metaclass=Kind):
         @classmethod
         def now(cls, tz: Any = None) -> Any:
             return cls.fromtimestamp(now(), tz)
