@@ -443,6 +443,26 @@ def test_the_command_line_says_what_is_wrong(
     assert (told["noise"], told["task_options"]) == (0.5, {"grasp": "weld"})
 
 
+def test_damaged_files_of_a_run_are_named(tmp_path: Path) -> None:
+    """After a power cut or a full disk, files may be empty."""
+    run = Run(tmp_path / "seed-0")
+    run.begin(load("NeedleReach", "dagger"), resume=False)
+    (run.path / "best.zip").write_bytes(b"")
+    with pytest.raises(ValueError, match=r"best\.zip.*damaged"):
+        run.policy()
+    (run.path / "config.json").write_bytes(b"")
+    with pytest.raises(ValueError, match=r"config\.json.*damaged"):
+        _ = run.config
+
+
+def test_a_refused_option_leaves_no_folder(tmp_path: Path, server: str) -> None:
+    """The corrected command can use the same folder."""
+    config = load("NeedleReach", "bc").but(task_options={"foo": 1})
+    with pytest.raises(ValueError, match="foo"):
+        train(config, 0, out=tmp_path, server=server, say=quietly)
+    assert not list(tmp_path.iterdir())
+
+
 def test_a_missing_extra_is_named() -> None:
     code = "import sys; sys.modules['stable_baselines3'] = None; import trocar.rl"
     ended = subprocess.run(

@@ -11,11 +11,15 @@ evaluations.jsonl       how well its policies do, a line for each time that they
 
 from __future__ import annotations
 
+import contextlib
 import csv
 import io
 import json
 import os
+import pickle
 import shutil
+import zipfile
+from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -23,7 +27,7 @@ from typing import Any
 from stable_baselines3.common.base_class import BaseAlgorithm
 
 import trocar
-from trocar.errors import InvalidRequest, refuse
+from trocar.errors import InvalidRequest, TrocarError, refuse
 from trocar.rl.baselines import load_policy
 from trocar.rl.config import OWN, Config
 from trocar.rl.learner import Learner, Row
@@ -67,18 +71,30 @@ class Run:
         path = self.path / "config.json"
         if not path.is_file():
             raise refuse(InvalidRequest, "run", str(self.path), "expected the folder of a run")
-        return Config.from_json(path.read_text())
+        with _reading(path):
+            text = path.read_text()
+            json.loads(text)
+        return Config.from_json(text)
 
     def begin(self, config: Config, resume: bool) -> None:
-        """Makes the folder, or finds the run that is there.
+        """Makes the folder, or checks the run in the folder.
 
         Raises:
-            ValueError: A run is there and shall not be resumed, or it trains something else.
+            ValueError: As :meth:`check`.
         """
+        self.check(config, resume)
         path = self.path / "config.json"
         if not path.exists():
             self.path.mkdir(parents=True, exist_ok=True)
             _replace(path, config.to_json().encode())
+
+    def check(self, config: Config, resume: bool) -> None:
+        """Checks that the configuration can be trained in this folder; writes no file.
+
+        Raises:
+            ValueError: The folder has a run that is not to be resumed, or another configuration.
+        """
+        if not (self.path / "config.json").exists():
             return
         if not resume:
             allowed = "a run is there already; resume it, or choose another folder"
@@ -133,7 +149,8 @@ class Run:
         if which not in ("best", "last") or not path.is_file():
             raise refuse(InvalidRequest, "policy", which, f"expected best or last in {self.path}")
         algo = self.config.algo
-        return Policy.load(path) if algo in OWN else load_policy(algo, path)
+        with _reading(path):
+            return Policy.load(path) if algo in OWN else load_policy(algo, path)
 
     @property
     def has_checkpoint(self) -> bool:
@@ -167,13 +184,40 @@ class Run:
         Raises:
             ValueError: It is of another version.
         """
-        told = json.loads((self._checkpoint / "rows.json").read_text())
+        with _reading(self._checkpoint / "rows.json") as path:
+            told = json.loads(path.read_text())
         if told["version"] != trocar.__version__:
             allowed = f"a checkpoint of {told['version']} goes on in that version only"
             raise refuse(InvalidRequest, "version", trocar.__version__, allowed)
-        learner.restore(self._checkpoint)
+        with _reading(self._checkpoint):
+            learner.restore(self._checkpoint)
         rows: list[Row] = told["rows"]
         return rows
+
+
+@contextlib.contextmanager
+def _reading(path: Path) -> Iterator[Path]:
+    """Names a file or folder of a run that cannot be read.
+
+    Raises:
+        InvalidRequest: The content is damaged or cut off.
+    """
+    try:
+        yield path
+    except TrocarError:
+        raise
+    except (
+        OSError,
+        EOFError,
+        ValueError,
+        KeyError,
+        RuntimeError,
+        pickle.UnpicklingError,
+        zipfile.BadZipFile,
+    ) as error:
+        words = str(error).splitlines() or [type(error).__name__]
+        allowed = f"it is damaged or cut off ({words[0]})"
+        raise refuse(InvalidRequest, "run", str(path), allowed) from error
 
 
 def _replace(path: Path, content: bytes) -> None:

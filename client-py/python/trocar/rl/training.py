@@ -61,7 +61,7 @@ def train(
         ValueError: A run is there already, or the demonstrations are not for this.
     """
     run = Run(Path(out) / config.task / config.algo / f"seed-{seed}")
-    run.begin(config, resume)
+    run.check(config, resume)
     torch.set_num_threads(threads)
     with _served(server) as (name, server_pid):
         if view:
@@ -75,6 +75,8 @@ def train(
         learner = make_learner(config, shown, seed, server=name)
         evaluation = make_vec(config.task_id, config.eval_episodes, server=name, **config.options)
         try:
+            # Options and demonstrations are valid by now, so a refused run leaves no folder.
+            run.begin(config, resume)
             _epochs(run, learner, evaluation, clock, say)
         finally:
             learner.close()
