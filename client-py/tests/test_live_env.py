@@ -166,3 +166,27 @@ def test_set_points_go_smoothly_and_turn_evenly() -> None:
     assert abs(half[5]) == pytest.approx(abs(half[6])) == pytest.approx(np.sqrt(0.5))
     assert half[7] == pytest.approx(0.25)
     assert between([0.0] * 4, [1.0] * 4, 0.5) == pytest.approx([0.5] * 4)
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("goal", [0.55, 0.0, 0.73]),
+        ("tip", [0.56, 0.01, 0.72]),
+        ("objects", {"needle": [0.5, 0.0, 0.68]}),
+        ("gaol", 1),
+    ],
+)
+def test_reset_options_are_refused_by_name(reach: LiveEnv, name: str, value: Any) -> None:
+    reach.reset(seed=1)
+    with pytest.raises(ValueError, match=rf"options\.{name} = .*no reset options"):
+        reach.reset(seed=2, options={name: value})
+    reach.step(np.zeros(reach.action_space.shape, np.float32))
+    reach.reset(seed=1, options={})
+    reach.reset(seed=1, options={"goal": None})
+
+
+@pytest.mark.parametrize("kind", ["rgb", "depth", "mask"])
+def test_pictures_in_observations_are_refused(server: str, kind: str) -> None:
+    with pytest.raises(ValueError, match=r"options\.observation = .*no pictures"):
+        LiveEnv("NeedleReach-v0", server=server, observation=["state", kind])

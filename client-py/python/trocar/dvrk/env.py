@@ -108,6 +108,10 @@ class LiveEnv(GoalFunctions, gym.Env[Observation, NDArray[np.float32]]):
             intervention=intervention,
             view=view(render_mode, render_options),
         )
+        if self.task_spec.images is not None:
+            self.close()
+            allowed = "observations of a live world have no pictures; render_mode has them"
+            raise refuse(InvalidOption, "options.observation", options.get("observation"), allowed)
         psms = [arm for arm in self._live.arms if arm != "ECM"]
         self._arms = psms or ["ECM"]
         if intervention and not psms:
@@ -144,8 +148,15 @@ class LiveEnv(GoalFunctions, gym.Env[Observation, NDArray[np.float32]]):
         """Begins the first episode of ``seed``, or of one that is drawn; homes the arms in place.
 
         A page that took arms over lets go of them.
+
+        Args:
+            seed: The seed of the episode.
+            options: No option is allowed: a live world begins episodes as their seeds draw them.
+
+        Raises:
+            ValueError: An option is given. The message names the option; the episode goes on.
         """
-        del options
+        check_reset_options(options)
         super().reset(seed=seed)
         drawn = int(self.np_random.integers(2**63))
         self._seed = drawn if seed is None else check_seed(seed)
@@ -300,6 +311,20 @@ class LiveEnv(GoalFunctions, gym.Env[Observation, NDArray[np.float32]]):
             "action": action,
             "episode_seed": self._seed,
         }
+
+
+def check_reset_options(options: Mapping[str, Any] | None) -> None:
+    """Refuses all reset options, except those with the value ``None``.
+
+    Raises:
+        trocar.errors.InvalidOption: An option is given.
+    """
+    if options is not None and not isinstance(options, Mapping):
+        raise refuse(InvalidOption, "options", options, "expected a dictionary")
+    for name, value in (options or {}).items():
+        if value is not None:
+            allowed = "a live world has no reset options; gym.make's environment has"
+            raise refuse(InvalidOption, f"options.{name}", value, allowed)
 
 
 def between(start: list[float], end: list[float], part: float) -> list[float]:
