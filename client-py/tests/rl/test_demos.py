@@ -236,6 +236,16 @@ def test_bad_input_is_refused_and_leaves_nothing(
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.parametrize("form", ["minari", "lerobot"])
+@pytest.mark.parametrize("kinds", [["state", "rgb"], ["state", "depth", "mask"], ["rgb"]])
+def test_pictures_are_refused_before_the_first_episode(
+    tmp_path: Path, server: str, form: str, kinds: list[str]
+) -> None:
+    with pytest.raises(ValueError, match=r"options\.observation = .*have no pictures"):
+        record(TASK, out=tmp_path, server=server, format=form, observation=kinds)
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_the_command_records_with_python(tmp_path: Path, server: str) -> None:
     command = [trocar.binary(), "demos", "--task", "GauzeRetrieve-v0", "--episodes", "2"]
     command += ["--out", str(tmp_path), "--server", server, "--spawn", "narrow", "--json"]

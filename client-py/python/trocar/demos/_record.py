@@ -140,6 +140,13 @@ def record(
     else:
         source = _Expert(task, server, min(envs, episodes), options)
     try:
+        if source.env.task_spec.images is not None:
+            allowed = (
+                "data sets have no pictures: record without rgb, depth, mask and points, and draw "
+                "the pictures by playing the actions again from the seeds"
+            )
+            value = options.get("observation")
+            raise refuse(InvalidRequest, "options.observation", value, allowed)
         partial.mkdir(parents=True, exist_ok=True)
         _claim(partial, recipe)
         kept = _collect(source, partial, recipe, progress or _say_nothing)
