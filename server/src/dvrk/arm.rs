@@ -161,6 +161,8 @@ pub struct ArmController {
     measured: Motion,
     /// The latest measured positions, the newest last.
     history: ArrayVec<Axes, { AVERAGED + 1 }>,
+    /// The velocities that count as the arm's own up to the tick before the latest: see [`Self::own_velocity`].
+    own: Axes,
     /// The goal of the jaw's latest move, and whether the jaw was servoed since.
     jaw_moved_to: f64,
     is_jaw_servoed: bool,
@@ -197,6 +199,7 @@ impl ArmController {
             latest: Stamp::of_tick(0),
             events: vec![],
             state: State::Disabled,
+            own: zeros(start.len()),
             has_zeros: false,
             resumes_homing: false,
             mode: Mode::Still,
@@ -264,6 +267,7 @@ impl ArmController {
     /// [`Self::measure`] where links are that something holds.
     pub fn tick(&mut self) -> SetPoint {
         self.ticks += 1;
+        self.own = self.own_velocity();
         let [position, velocity] = self.follow();
         let clipped = self.mechanism.clipped(&position);
         let velocity = velocity.iter().zip(position.iter().zip(&clipped));

@@ -23,7 +23,8 @@
 //! - Every `state_command` is answered by an operating state, also where nothing changes.
 //! - `servo_*` takes effect with the next tick: no interpolation, no limit of speed, joints clipped silently.
 //! - `move_*` plans a time-optimal trajectory of joints and jaw, from the present velocity, clipped first. It is busy
-//!   until the tick in which it ends, one tick at least. `move_cp` goes no straight line.
+//!   until the tick in which it ends, one tick at least. `move_cp` goes no straight line. After set-points, a velocity
+//!   counts only as far as joints accelerate that fast: a step is none, a loop at 50 Hz or more has one.
 //! - `hold`, `free` and `servo_*` end a move: `goal_reached` is false, and the arm not busy any more. Another move takes
 //!   its place without a word.
 //! - What is malformed is refused by an [`Error`](event::Error). What comes at the wrong time is ignored with a

@@ -311,19 +311,12 @@ impl ArmController {
         }
     }
 
-    /// Where a trajectory begins: with the measured velocity after set-points, at rest after nothing.
+    /// Where a trajectory begins: with the arm's own velocity after set-points, at rest after nothing.
     fn present(&self) -> [Axes; 2] {
         let Motion { position, .. } = &self.setpoint;
         match &self.mode {
             Mode::Move(progress) | Mode::Homing(progress) => progress.present(),
-            Mode::Servo { .. } | Mode::Velocity { .. } => {
-                let within = |(axis, velocity): (usize, &f64)| {
-                    let most = self.mechanism.limit(axis).max_velocity;
-                    velocity.clamp(-most, most)
-                };
-                let velocity = self.measured.velocity.iter().enumerate().map(within).collect();
-                [position.clone(), velocity]
-            }
+            Mode::Servo { .. } | Mode::Velocity { .. } => [position.clone(), self.own_velocity()],
             Mode::Still | Mode::Free => [position.clone(), zeros(position.len())],
         }
     }

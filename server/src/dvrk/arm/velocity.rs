@@ -1,8 +1,8 @@
-//! Velocities that an arm follows for a while: CRTK's `servo_jv` and `servo_cv`.
+//! Velocities: those that an arm follows for a while, CRTK's `servo_jv` and `servo_cv`, and the one that it has.
 
 use nalgebra::{Matrix6, Vector3, Vector6};
 
-use super::{ArmController, Velocity, zeros};
+use super::{ArmController, Mode, Velocity, zeros};
 use crate::dvrk::TICK;
 use crate::dvrk::command;
 use crate::dvrk::event::Error;
@@ -50,5 +50,26 @@ impl ArmController {
         let velocity = self.with_jaw(&velocity, &zeros(self.mechanism.axes()));
         let moved = self.setpoint.position.iter().zip(&velocity);
         [moved.map(|(position, velocity)| position + velocity * TICK).collect(), velocity]
+    }
+
+    /// The velocity with which a trajectory goes on, within the limits of the joints.
+    ///
+    /// Set-points are followed at once, so one that steps measures as a great velocity for some ticks. What is
+    /// servoed therefore counts as an arm's own velocity only as far as its joints accelerate that fast. A slower
+    /// velocity counts at once.
+    pub(super) fn own_velocity(&self) -> Axes {
+        let is_servoed = matches!(self.mode, Mode::Servo { .. });
+        let own = self.own.iter().zip(&self.measured.velocity).enumerate();
+        own.map(|(axis, (own, measured))| {
+            let limit = self.mechanism.limit(axis);
+            let measured = measured.clamp(-limit.max_velocity, limit.max_velocity);
+            let gain = limit.max_acceleration * TICK;
+            if is_servoed {
+                measured.clamp(own.min(0.0) - gain, own.max(0.0) + gain)
+            } else {
+                measured
+            }
+        })
+        .collect()
     }
 }

@@ -10,6 +10,7 @@ mod kinematics;
 mod misuse;
 mod planner;
 mod scenarios;
+mod set_points;
 mod settings;
 mod topics;
 
