@@ -372,3 +372,19 @@ fn positions_are_metres_under_the_preset_of_the_original_too() {
     env.arrange(&goal(&[0.55, -0.02, 0.73])).unwrap();
     assert_eq!(seen(&env)[2], [2.75, -0.1, 3.65]);
 }
+
+#[test]
+fn goals_with_several_parts_can_be_given_back_and_their_fixed_numbers_are_checked() {
+    for task in ["TissueRetract-v0", "TissuePoint-v0", "GauzePlace-v0", "MisOrient-v0"] {
+        let own: Vec<f64> = seen(&begun(task, 1))[2].iter().map(|part| f64::from(*part)).collect();
+        for seed in [1, 2] {
+            let mut env = begun(task, seed);
+            env.arrange(&goal(&own)).unwrap();
+            assert_eq!(seen(&env)[2], own.iter().map(|part| *part as f32).collect::<Vec<_>>());
+        }
+        let mut other = own.clone();
+        *other.last_mut().unwrap() += 0.5;
+        let refused = refusal(&mut begun(task, 1), &goal(&other));
+        assert!(refused.to_string().contains("fixed by the task: allowed is"), "{task}: {refused}");
+    }
+}

@@ -85,11 +85,36 @@ fn arrange(
         check_arms(task, world, tip.is_some())?;
     }
     if let Some(goal) = goal {
-        if goal.len() != goal_dim || goal_dim != 3 {
-            let allowed = format!("expected {goal_dim} numbers, as many as a goal of the task has");
-            return Err(refuse("options.goal", format!("{} numbers", goal.len()), allowed));
+        set_goal(task, world, goal, goal_dim)?;
+    }
+    Ok(())
+}
+
+/// Sets the position of the goal, its first three numbers. The task fixes all other numbers.
+fn set_goal(
+    task: &mut dyn Task,
+    world: &World,
+    goal: &[f64],
+    goal_dim: usize,
+) -> Result<(), Rejection> {
+    /// Greatest difference of a fixed number: rounding to single precision.
+    const ROUNDING: f64 = 1e-6;
+    if goal.len() != goal_dim || goal_dim == 0 {
+        let allowed = format!("expected {goal_dim} numbers, as many as a goal of the task has");
+        return Err(refuse("options.goal", format!("{} numbers", goal.len()), allowed));
+    }
+    let (mut achieved, mut desired) = (vec![0.0; goal_dim], vec![0.0; goal_dim]);
+    task.goals(world, &mut achieved, &mut desired);
+    let positions = if goal_dim < 3 { 0 } else { 3 };
+    for (index, (number, fixed)) in goal.iter().zip(&desired).enumerate().skip(positions) {
+        let difference = number - f64::from(*fixed);
+        if difference.is_nan() || difference.abs() > ROUNDING {
+            let allowed = format!("number {} is fixed by the task: allowed is {fixed}", index + 1);
+            return Err(refuse("options.goal", format!("{goal:?}"), allowed));
         }
-        task.set_goal(&Vector3::from_column_slice(goal))?;
+    }
+    if positions == 3 {
+        task.set_goal(&Vector3::from_column_slice(&goal[..3]))?;
     }
     Ok(())
 }
