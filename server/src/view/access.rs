@@ -1,26 +1,35 @@
 //! How many may be connected, and from where.
 
+use std::future::Future;
 use std::io;
 use std::net::{IpAddr, SocketAddr};
 use std::pin::Pin;
 use std::sync::Arc;
-use std::task::{Context, Poll};
+use std::task::{Context, Poll, ready};
+use std::time::Duration;
 
 use axum::http::{HeaderMap, HeaderName, header};
 use axum::serve::Listener;
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 use tokio::net::{TcpListener, TcpStream};
 use tokio::sync::{OwnedSemaphorePermit, Semaphore};
+use tokio::time::{Instant, Sleep, sleep};
+
+/// First bytes of the response that makes a connection a WebSocket.
+const SWITCHING: &[u8] = b"HTTP/1.1 101";
 
 /// Lets so many connections in at a time; the others wait outside.
 pub(super) struct ConnectionLimit {
     listener: TcpListener,
     places: Arc<Semaphore>,
+    idle_limit: Duration,
 }
 
 impl ConnectionLimit {
-    pub(super) fn new(listener: TcpListener, places: usize) -> Self {
-        Self { listener, places: Arc::new(Semaphore::new(places)) }
+    /// `idle_limit` is the longest time from the start of a connection, or from its last response, to
+    /// the end of its next request. WebSockets have no such limit.
+    pub(super) fn new(listener: TcpListener, places: usize, idle_limit: Duration) -> Self {
+        Self { listener, places: Arc::new(Semaphore::new(places)), idle_limit }
     }
 }
 
@@ -33,7 +42,9 @@ impl Listener for ConnectionLimit {
         let (stream, address) = Listener::accept(&mut self.listener).await;
         // Frames are small and each is worth sending at once.
         stream.set_nodelay(true).ok();
-        (Connection { stream, _place: place }, address)
+        let idle_limit = self.idle_limit;
+        let deadline = Some(Box::pin(sleep(idle_limit)));
+        (Connection { stream, deadline, idle_limit, _place: place }, address)
     }
 
     fn local_addr(&self) -> io::Result<SocketAddr> {
@@ -44,7 +55,29 @@ impl Listener for ConnectionLimit {
 /// A connection, with the place that it takes.
 pub(super) struct Connection {
     stream: TcpStream,
+    /// End of the time for the next request; none for WebSockets.
+    deadline: Option<Pin<Box<Sleep>>>,
+    idle_limit: Duration,
     _place: OwnedSemaphorePermit,
+}
+
+impl Connection {
+    /// An error if the deadline has passed; otherwise pending until then.
+    fn poll_deadline<T>(&mut self, context: &mut Context<'_>) -> Poll<io::Result<T>> {
+        let Some(deadline) = &mut self.deadline else { return Poll::Pending };
+        ready!(deadline.as_mut().poll(context));
+        Poll::Ready(Err(io::ErrorKind::TimedOut.into()))
+    }
+
+    /// Moves the deadline after a write that began with `bytes`.
+    fn extend(&mut self, bytes: &[u8]) {
+        if bytes.starts_with(SWITCHING) {
+            self.deadline = None;
+        }
+        if let Some(deadline) = &mut self.deadline {
+            deadline.as_mut().reset(Instant::now() + self.idle_limit);
+        }
+    }
 }
 
 impl AsyncRead for Connection {
@@ -53,7 +86,10 @@ impl AsyncRead for Connection {
         context: &mut Context<'_>,
         buffer: &mut ReadBuf<'_>,
     ) -> Poll<io::Result<()>> {
-        Pin::new(&mut self.stream).poll_read(context, buffer)
+        match Pin::new(&mut self.stream).poll_read(context, buffer) {
+            Poll::Pending => self.poll_deadline(context),
+            Poll::Ready(read) => Poll::Ready(read),
+        }
     }
 }
 
@@ -63,7 +99,12 @@ impl AsyncWrite for Connection {
         context: &mut Context<'_>,
         bytes: &[u8],
     ) -> Poll<io::Result<usize>> {
-        Pin::new(&mut self.stream).poll_write(context, bytes)
+        let written = Pin::new(&mut self.stream).poll_write(context, bytes);
+        if written.is_pending() {
+            return self.poll_deadline(context);
+        }
+        self.extend(bytes);
+        written
     }
 
     fn poll_write_vectored(
@@ -71,7 +112,12 @@ impl AsyncWrite for Connection {
         context: &mut Context<'_>,
         slices: &[io::IoSlice<'_>],
     ) -> Poll<io::Result<usize>> {
-        Pin::new(&mut self.stream).poll_write_vectored(context, slices)
+        let written = Pin::new(&mut self.stream).poll_write_vectored(context, slices);
+        if written.is_pending() {
+            return self.poll_deadline(context);
+        }
+        self.extend(slices.first().map_or(&[], |slice| slice));
+        written
     }
 
     fn is_write_vectored(&self) -> bool {
@@ -133,7 +179,31 @@ fn is_local(host: &str) -> bool {
 
 #[cfg(test)]
 mod tests {
+    use tokio::io::AsyncReadExt;
+
     use super::*;
+
+    #[test]
+    fn idle_connections_lose_their_place() {
+        let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
+        runtime.block_on(async {
+            let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
+            let mut limit = ConnectionLimit::new(listener, 1, Duration::from_millis(50));
+            let address = limit.local_addr().unwrap();
+            // The second connection has a place only after the first one has lost it.
+            for _ in 0..2 {
+                let _silent = TcpStream::connect(address).await.unwrap();
+                let (mut connection, _) = limit.accept().await;
+                let error = connection.read_u8().await.unwrap_err();
+                assert_eq!(error.kind(), io::ErrorKind::TimedOut);
+            }
+            let _page = TcpStream::connect(address).await.unwrap();
+            let (mut connection, _) = limit.accept().await;
+            connection.extend(b"HTTP/1.1 101 Switching Protocols");
+            let read = tokio::time::timeout(Duration::from_millis(200), connection.read_u8());
+            assert!(read.await.is_err(), "a WebSocket has no deadline");
+        });
+    }
 
     #[test]
     fn pages_of_other_sites_do_not_look_in() {

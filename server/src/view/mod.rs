@@ -54,6 +54,10 @@ pub const MOST_PAGES: usize = 16;
 /// Most connections at a time; further ones wait.
 pub const MOST_CONNECTIONS: usize = 64;
 
+/// Longest time for a request, and between two requests of a connection. Idle connections would otherwise keep
+/// their places, and nobody else would get the page.
+const IDLE_LIMIT: Duration = Duration::from_secs(10);
+
 /// How long pages are waited for that are told that the server ends.
 const GOODBYE: Duration = Duration::from_millis(500);
 
@@ -98,6 +102,7 @@ impl View {
             let listener = ConnectionLimit::new(
                 tokio::net::TcpListener::from_std(listener)?,
                 MOST_CONNECTIONS,
+                IDLE_LIMIT,
             );
             let end = until_end(ended, &pages);
             tokio::select! {
