@@ -60,7 +60,7 @@ threads, steps_per_second, steps_per_cpu_second, ratio_to_in_process}; the ratio
 null where in_process was not measured.")]
 pub(crate) struct Bench {
     /// A task id of `trocar tasks`, or all
-    #[arg(long, default_value = "all")]
+    #[arg(long, default_value = "all", value_parser = crate::options::task_id)]
     task: String,
     /// Where the steps are asked for
     #[arg(long, value_enum, value_delimiter = ',', default_values = ["in_process", "client_rs", "client_py"])]

@@ -43,7 +43,7 @@ step. What is done survives an interruption: --resume goes on. Needs a Python wi
 $TROCAR_PYTHON, else python3. With --json: {task, episodes, kept, path}.")]
 pub(crate) struct Demos {
     /// A task id of `trocar tasks`
-    #[arg(long)]
+    #[arg(long, value_parser = crate::options::task_id)]
     task: String,
     /// How many episodes are run
     #[arg(long, default_value_t = 100, value_parser = clap::value_parser!(u32).range(1..))]

@@ -1,7 +1,7 @@
 //! `trocar drive`: arms in a live world, driven by hand from the viewer's page.
 
 use std::io::Write;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
@@ -12,6 +12,7 @@ use trocar_proto::Options;
 use trocar_proto::dvrk::{Homing, LiveRequest};
 use trocar_server::Registry;
 
+use crate::exit::Exit;
 use crate::options::Given;
 use crate::process::OwnServer;
 
@@ -31,7 +32,7 @@ Examples:
 The address has a token, which lets a page drive the arms: keep it to yourself. Key ? shows all keys.")]
 pub(crate) struct Drive {
     /// A task id of `trocar tasks`
-    #[arg(long, default_value = "NeedlePick-v0")]
+    #[arg(long, default_value = "NeedlePick-v0", value_parser = crate::options::task_id)]
     task: String,
     #[command(flatten)]
     options: Given,
@@ -52,6 +53,10 @@ pub(crate) struct Drive {
 impl Drive {
     pub(crate) fn run(self) -> anyhow::Result<()> {
         ctrlc::set_handler(|| INTERRUPTED.store(true, Ordering::Release))?;
+        if let Some(path) = &self.out {
+            check_file(path)
+                .map_err(|error| Exit::Usage(format!("--out {}: {error}", path.display())))?;
+        }
         let own = match &self.server {
             Some(_) => None,
             None => Some(OwnServer::start(&format!("drive-{}", std::process::id()).parse()?, &[])?),
@@ -85,4 +90,11 @@ impl Drive {
         drop(client);
         own.map_or(Ok(()), OwnServer::stop)
     }
+}
+
+/// Checks that a file can be written at `path`, and leaves the path unchanged.
+fn check_file(path: &Path) -> std::io::Result<()> {
+    let is_new = !path.try_exists()?;
+    std::fs::OpenOptions::new().append(true).create(true).open(path)?;
+    if is_new { std::fs::remove_file(path) } else { Ok(()) }
 }

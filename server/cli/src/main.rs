@@ -75,7 +75,8 @@ A first session:
   trocar status --name lab --watch               its clients, and how fast it runs
   trocar stop --name lab                         ends it
 
-Output: with --json, one JSON object a line on stdout; everything for people goes to stderr.
+Output: with --json, one JSON object a line on stdout; everything for people goes to stderr,
+except the tables of `trocar tasks`, which go to stdout.
 
 Exit codes:
   0  done

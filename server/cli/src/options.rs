@@ -7,6 +7,7 @@ use clap::Args;
 use serde_json::{Map, Value, json};
 use trocar_proto::spec::{Allowed, OptionSpec, PRESET};
 use trocar_proto::{OptionValue, Options, TaskSpec};
+use trocar_server::Registry;
 pub(crate) use trocar_server::tasks::Assignment;
 
 use crate::exit::Exit;
@@ -57,6 +58,13 @@ impl Given {
             .filter_map(|(name, text)| text.as_ref().map(|text| Assignment::new(name, text)));
         named.chain(self.options.iter().cloned()).collect()
     }
+}
+
+/// The id of a task by its name, with or without `-v0`. Other names remain: a server may have tasks of its own.
+#[expect(clippy::unnecessary_wraps, reason = "a parser of clap")]
+pub(crate) fn task_id(name: &str) -> Result<String, std::convert::Infallible> {
+    let is_named = |id: &&str| *id == name || id.strip_suffix("-v0") == Some(name);
+    Ok(Registry::builtin().ids().find(is_named).unwrap_or(name).to_string())
 }
 
 /// The options that `assignments` give to a task that knows `known`. Unknown ones are refused.
@@ -162,9 +170,19 @@ pub(crate) fn allowed_json(allowed: &Allowed) -> Value {
 
 #[cfg(test)]
 mod tests {
-    use trocar_server::Registry;
-
     use super::*;
+
+    #[test]
+    fn tasks_have_names_with_and_without_their_version() {
+        for (name, id) in [
+            ("NeedlePick", "NeedlePick-v0"),
+            ("NeedlePick-v0", "NeedlePick-v0"),
+            ("all", "all"),
+            ("Own", "Own"),
+        ] {
+            assert_eq!(task_id(name), Ok(id.to_string()));
+        }
+    }
 
     fn read(texts: &[&str]) -> anyhow::Result<Options> {
         let assignments: Vec<_> =

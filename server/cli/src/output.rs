@@ -1,4 +1,4 @@
-//! What the commands say: JSON lines on stdout, tables on stderr.
+//! Output of the commands: JSON lines on stdout, tables on stderr or stdout.
 
 use std::io::{IsTerminal, Write};
 use std::time::Duration;
@@ -20,13 +20,23 @@ pub(crate) fn json_line(object: &impl Serialize) -> anyhow::Result<()> {
 
 /// An empty table; columns from `first_number` on hold numbers and are aligned to the right.
 pub(crate) fn table(header: &[&str], first_number: usize) -> Table {
+    let mut table = plain_table(header, std::io::stderr().is_terminal(), first_number);
+    table.use_stderr();
+    table
+}
+
+/// The same for stdout.
+pub(crate) fn stdout_table(header: &[&str], first_number: usize) -> Table {
+    plain_table(header, std::io::stdout().is_terminal(), first_number)
+}
+
+fn plain_table(header: &[&str], is_terminal: bool, first_number: usize) -> Table {
     let mut table = Table::new();
     table
         .load_preset(presets::UTF8_BORDERS_ONLY)
         .set_content_arrangement(ContentArrangement::Dynamic)
-        .use_stderr()
         .set_header(header);
-    if !std::io::stderr().is_terminal() {
+    if !is_terminal {
         table.set_width(LOG_WIDTH);
     }
     for column in table.column_iter_mut().skip(first_number) {

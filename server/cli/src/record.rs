@@ -40,7 +40,7 @@ beginning of its present episode on; its trainer notices nothing. A live world i
 with all commands to its arms.")]
 pub(crate) struct Record {
     /// A task id of `trocar tasks` [default: the policy's]
-    #[arg(long, conflicts_with = "session")]
+    #[arg(long, conflicts_with = "session", value_parser = crate::options::task_id)]
     task: Option<String>,
     /// The agent: oracle (the task's scripted expert), random, or a trained policy: FILE.onnx, or a name
     /// of `trocar policies`

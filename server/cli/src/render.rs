@@ -39,7 +39,7 @@ Depth is brighter the nearer; every body has a colour of its own in the mask. MP
 what no other program is needed for.")]
 pub(crate) struct Render {
     /// A task id of `trocar tasks`, or all
-    #[arg(long, default_value = "all")]
+    #[arg(long, default_value = "all", value_parser = crate::options::task_id)]
     task: String,
     /// The agent: oracle (the task's scripted expert), random, or a trained policy: FILE.onnx, or a
     /// name of `trocar policies`

@@ -39,7 +39,7 @@ Options apply to every chosen task that knows them; `trocar tasks` lists them. W
 steps_per_second}; grasp and rates are null where a task has none.")]
 pub(crate) struct Rollout {
     /// A task id of `trocar tasks`, or all
-    #[arg(long, default_value = "all")]
+    #[arg(long, default_value = "all", value_parser = crate::options::task_id)]
     task: String,
     /// The agent: oracle (the task's scripted expert), random, or a trained policy: FILE.onnx, or a name
     /// of `trocar policies`

@@ -1,22 +1,52 @@
 //! `trocar tasks`: the tasks and their options.
 
+use std::io::{self, Write};
+
 use clap::Args;
 use serde::Serialize;
 use serde_json::{Map, Value, json};
+use trocar_proto::spec::OptionSpec;
 use trocar_proto::{Options, TaskSpec};
 use trocar_server::Registry;
 
 use crate::{options, output};
 
+/// Options by groups; the remaining options are in a group of their own.
+const GROUPS: [(&str, &[&str]); 4] = [
+    (
+        "Task and episode",
+        &["preset", "reward", "terminate", "tolerance", "spawn", "start", "arm", "setup"],
+    ),
+    ("Control and grasp", &["action", "rate", "grasp", "grasp_distance", "instrument", "squeeze"]),
+    (
+        "Observations and pictures",
+        &[
+            "observation",
+            "image_size",
+            "camera",
+            "camera_eye",
+            "camera_target",
+            "camera_view",
+            "look",
+            "expert_sees",
+        ],
+    ),
+    ("Errors and randomisation", &["domain"]),
+];
+
 /// List the tasks and their options.
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
-  trocar tasks           a table, and what every option accepts
+  trocar tasks           a table of all tasks
+  trocar tasks NeedlePick   the options of a task
   trocar tasks --json    {id, action_dim, observation_dim, goal_dim, max_steps, seconds_per_step, options}
 
 In Python a task is gym.make(\"trocar/<task>\", option=value, …).")]
 pub(crate) struct Tasks {
+    /// A task, to list its options
+    #[arg(value_name = "NAME", value_parser = options::task_id)]
+    task: Option<String>,
     /// One JSON object per task and line, on stdout
     #[arg(long)]
     json: bool,
@@ -36,15 +66,21 @@ struct Row<'a> {
 impl Tasks {
     pub(crate) fn run(self) -> anyhow::Result<()> {
         let registry = Registry::builtin();
-        let specs = registry
-            .ids()
+        let ids: Vec<_> = match &self.task {
+            Some(task) => vec![task.as_str()],
+            None => registry.ids().collect(),
+        };
+        let specs = ids
+            .into_iter()
             .map(|id| registry.spec(id, &Options::new()))
             .collect::<Result<Vec<_>, _>>()?;
         if self.json {
             return specs.iter().try_for_each(|spec| output::json_line(&row(spec)));
         }
-        show_for_people(&specs);
-        Ok(())
+        match (&self.task, specs.as_slice()) {
+            (Some(_), [spec]) => option_tables(spec),
+            _ => task_table(&specs),
+        }
     }
 }
 
@@ -68,9 +104,10 @@ fn row(spec: &TaskSpec) -> Row<'_> {
     }
 }
 
-fn show_for_people(specs: &[TaskSpec]) {
-    let mut table =
-        output::table(&["task", "what is learnt", "action", "state", "goal", "steps × s"], 2);
+/// The table of all tasks.
+fn task_table(specs: &[TaskSpec]) -> anyhow::Result<()> {
+    let header = ["task", "what is learnt", "action", "state", "goal", "steps × s"];
+    let mut table = output::stdout_table(&header, 2);
     for spec in specs {
         table.add_row([
             spec.id.clone(),
@@ -81,21 +118,31 @@ fn show_for_people(specs: &[TaskSpec]) {
             format!("{} × {}", spec.max_steps, spec.seconds_per_step),
         ]);
     }
-    eprintln!("{table}");
-    let mut table = output::table(&["option", "default", "accepts", "tasks"], 4);
-    let mut shown: Vec<(&str, String)> = Vec::new();
-    for option in specs.iter().flat_map(|spec| &spec.options) {
-        let key = (option.name.as_str(), option.allowed.to_string());
-        if shown.contains(&key) {
+    writeln!(io::stdout(), "{table}\ntrocar tasks NAME lists the options of a task.")?;
+    Ok(())
+}
+
+/// The options of a task, by groups.
+fn option_tables(spec: &TaskSpec) -> anyhow::Result<()> {
+    let mut stdout = io::stdout().lock();
+    writeln!(stdout, "{}: {}", spec.id, spec.summary)?;
+    let others = |name: &str| !GROUPS.iter().any(|(_, names)| names.contains(&name));
+    let groups = GROUPS.iter().map(|(title, names)| (*title, *names)).chain([("Others", &[][..])]);
+    for (title, names) in groups {
+        let is_member = |option: &&OptionSpec| {
+            let name = option.name.as_str();
+            names.contains(&name) || names.is_empty() && others(name)
+        };
+        let options: Vec<_> = spec.options.iter().filter(is_member).collect();
+        if options.is_empty() {
             continue;
         }
-        let knows = |spec: &&TaskSpec| spec.options.contains(option);
-        let tasks: Vec<_> =
-            specs.iter().filter(knows).map(|spec| spec.id.trim_end_matches("-v0")).collect();
-        let tasks = if tasks.len() == specs.len() { "all".into() } else { tasks.join(", ") };
-        let accepts = format!("{}\n{}", option.allowed, option.summary);
-        table.add_row([option.name.clone(), option.default.to_string(), accepts, tasks]);
-        shown.push(key);
+        let mut table = output::stdout_table(&["option", "default", "accepts"], 3);
+        for option in options {
+            let accepts = format!("{}\n{}", option.allowed, option.summary);
+            table.add_row([option.name.clone(), option.default.to_string(), accepts]);
+        }
+        writeln!(stdout, "\n{title}\n{table}")?;
     }
-    eprintln!("{table}");
+    Ok(())
 }

@@ -168,7 +168,20 @@ fn tasks_are_listed_with_dimensions_and_options() {
     assert_eq!(keys(&tasks[0]), expected);
     assert_eq!(tasks[0]["action_dim"], 5);
     assert_eq!(tasks[0]["options"]["reward"]["default"], "sparse");
-    assert!(stderr(&run(&["tasks"])).contains("EcmReach-v0"));
+    let stdout = |arguments: &[&str]| String::from_utf8(run(arguments).stdout).unwrap();
+    let table = stdout(&["tasks"]);
+    assert!(table.contains("EcmReach-v0") && table.lines().count() < 50, "{table}");
+    let options = stdout(&["tasks", "NeedlePick"]);
+    assert_eq!(options, stdout(&["tasks", "NeedlePick-v0"]));
+    for words in ["Task and episode", "grasp_distance", "Errors and randomisation"] {
+        assert!(options.contains(words), "{words}");
+    }
+    let unknown = run(&["tasks", "NedlePick"]);
+    assert_eq!(unknown.status.code(), Some(2));
+    assert!(stderr(&unknown).contains("did you mean \"NeedlePick-v0\"?"), "{}", stderr(&unknown));
+    let drive = run(&["drive", "--out", "/no/such/folder.trocar"]);
+    assert_eq!(drive.status.code(), Some(2));
+    assert!(stderr(&drive).contains("/no/such/folder.trocar"));
 }
 
 #[test]
