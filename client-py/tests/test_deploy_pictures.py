@@ -104,6 +104,6 @@ def test_things_without_a_colour_are_refused(server: str) -> None:
 
     with pytest.raises(InvalidOption, match="the colour of needle: --colour needle=R,G,B"):
         Pictures(none, layout, COLOURS, lambda: None)
-    assert colours(["needle=1,2,3"])["needle"].rgb == (1.0, 2.0, 3.0)
+    assert colours(["needle=1,2,3"], ["needle"])["needle"].rgb == (1.0, 2.0, 3.0)
     with pytest.raises(InvalidOption, match="three numbers"):
-        colours(["needle=1,2"])
+        colours(["needle=1,2"], ["needle"])

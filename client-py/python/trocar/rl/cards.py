@@ -125,10 +125,10 @@ def page(cards: dict[str, dict[str, Any]]) -> str:
         low_high = card["confidence_95"]
         lines.append(
             [
-                task.removesuffix("-v0") + card["mark"],
+                task.removesuffix("-v0"),
                 card["algorithm"] + (", contact" if card["needs_contact"] else ""),
                 f"{seconds:.0f} CPU s",
-                _result(card),
+                _result(card) + card["mark"],
                 "{:.1f} to {:.1f} %".format(*(100 * end for end in low_high)) if low_high else "-",
                 *(results.get(name, "-") for name in names),
             ]
