@@ -132,7 +132,7 @@ told(clocked)
 
 
 def test_waits_let_the_time_of_the_world_pass(server: str, tmp_path: Path) -> None:
-    """Those of threads, queues and asyncio; one that is woken up before waits no longer."""
+    """Those of threads, queues and asyncio; one that is wake_ups up before waits no longer."""
     script = """
 def get():
     try:
@@ -140,7 +140,7 @@ def get():
     except queue.Empty:
         pass
 
-def woken():
+def wake_ups():
     event = threading.Event()
     threading.Timer(0.25, event.set).start()
     assert event.wait(5)
@@ -164,7 +164,7 @@ async def several():
     except asyncio.TimeoutError:
         pass
 
-for act in (lambda: threading.Event().wait(0.5), get, woken, joined, holds):
+for act in (lambda: threading.Event().wait(0.5), get, wake_ups, joined, holds):
     told(act)
 told(lambda: asyncio.run(several()))
 """
