@@ -132,7 +132,7 @@ told(clocked)
 
 
 def test_waits_let_the_time_of_the_world_pass(server: str, tmp_path: Path) -> None:
-    """Those of threads, queues and asyncio; one that is wake_ups up before waits no longer."""
+    """Waits of threads, queues and asyncio; a wait that is notified early ends early."""
     script = """
 def get():
     try:
