@@ -161,7 +161,7 @@ pub struct ArmController {
     measured: Motion,
     /// The latest measured positions, the newest last.
     history: ArrayVec<Axes, { AVERAGED + 1 }>,
-    /// The velocities that count as the arm's own up to the tick before the latest: see [`Self::own_velocity`].
+    /// Estimate of [`Self::own_velocity`] at the tick before the latest, rad/s and m/s.
     own: Axes,
     /// The goal of the jaw's latest move, and whether the jaw was servoed since.
     jaw_moved_to: f64,

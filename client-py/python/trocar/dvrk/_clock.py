@@ -1,8 +1,8 @@
 """One clock for all threads of a script in lock-step.
 
-Time passes only when every live thread that counts waits for it; then it comes to the earliest
-moment at which one wakes up. A thread counts from its start until it ends. A thread that waits for
-something else than the clock, such as a socket, holds time up for :data:`STALL`.
+Time passes only while every counted thread waits for the clock. It advances to the earliest
+wake-up. A thread counts from its start to its end. A thread that waits for another event, such as a
+socket, stops the clock for :data:`STALL` of real time.
 """
 
 from __future__ import annotations
@@ -23,10 +23,10 @@ if TYPE_CHECKING:
     from trocar.dvrk._world import World
 
 STALL = 0.5
-"""Real time without work after which a thread that waits for something else is left out, s."""
+"""Real time without work, s, after which a thread that waits for another event is left out."""
 
 POLL = 0.002
-"""Real time between two looks at whether a thread has ended, s."""
+"""Real time between two checks for ended threads, s."""
 
 _real = time.monotonic
 
@@ -70,7 +70,7 @@ class Clock:
         self._stalled: tuple[dict[int, str], float] = ({}, 0.0)
         self._base = _real()
         self._is_over = False
-        """Whether the script has ended: threads that sleep on end in silence."""
+        """True after the end of the script: sleeping threads then end without an error."""
 
     # ---- Readings ----
 
@@ -85,14 +85,14 @@ class Clock:
         return self._base + self._world.elapsed()
 
     def use(self) -> None:
-        """Says that this thread uses the clock."""
+        """Counts the calling thread."""
         ident, thread = get_ident(), threading.current_thread()
         if self._threads.get(ident) is not thread:
             self._threads[ident] = thread
         self._started.discard(thread)
 
     def leave(self) -> None:
-        """This thread does not count any more."""
+        """Removes the calling thread from the count."""
         self._threads.pop(get_ident(), None)
 
     # ---- Waits ----
@@ -104,7 +104,7 @@ class Clock:
         self.wait(Waiter(self, None, False), seconds)
 
     def wait(self, waiter: Waiter, seconds: float | None) -> bool:
-        """Waits for so many seconds at most; whether it was woken up before."""
+        """Waits for at most `seconds`; true if a notification ended the wait."""
         self.use()
         ident = get_ident()
         if seconds is not None:
@@ -129,7 +129,7 @@ class Clock:
     def until(
         self, holds: Callable[[], bool], seconds: float | None, on_events: bool = False
     ) -> bool:
-        """Waits until something holds, for so many seconds at most; whether it does."""
+        """Waits for at most `seconds` until `holds()` is true; returns the last `holds()`."""
         self.wait(Waiter(self, holds, on_events), seconds)
         return holds()
 
@@ -168,7 +168,7 @@ class Clock:
             return False
         if _real() - since < STALL:
             return False
-        # One that never used the clock is not waited for again.
+        # A thread that never used the clock no longer counts.
         for ident in active:
             if self._threads[ident] in self._started:
                 self._started.discard(self._threads.pop(ident))
@@ -272,7 +272,7 @@ class Clock:
 
 
 def work_of(thread: threading.Thread) -> str:
-    """What a thread has worked so far: another text where it has since."""
+    """CPU time of a thread as text, which differs after each period of work."""
     try:
         text = Path(f"/proc/self/task/{thread.native_id}/stat").read_text()
     except OSError:

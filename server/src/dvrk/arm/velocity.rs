@@ -1,4 +1,4 @@
-//! Velocities: those that an arm follows for a while, CRTK's `servo_jv` and `servo_cv`, and the one that it has.
+//! Velocity commands (CRTK's `servo_jv` and `servo_cv`), and the estimate of an arm's own velocity.
 
 use nalgebra::{Matrix6, Vector3, Vector6};
 
@@ -52,11 +52,11 @@ impl ArmController {
         [moved.map(|(position, velocity)| position + velocity * TICK).collect(), velocity]
     }
 
-    /// The velocity with which a trajectory goes on, within the limits of the joints.
+    /// Start velocity of a trajectory, rad/s and m/s, within the velocity limits of the joints.
     ///
-    /// Set-points are followed at once, so one that steps measures as a great velocity for some ticks. What is
-    /// servoed therefore counts as an arm's own velocity only as far as its joints accelerate that fast. A slower
-    /// velocity counts at once.
+    /// An arm follows set-points at once, so a step of the set-point measures as a high velocity for some ticks.
+    /// After set-points, the estimate therefore grows at most by the joints' acceleration limit. A decrease counts
+    /// at once.
     pub(super) fn own_velocity(&self) -> Axes {
         let is_servoed = matches!(self.mode, Mode::Servo { .. });
         let own = self.own.iter().zip(&self.measured.velocity).enumerate();

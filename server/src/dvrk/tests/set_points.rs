@@ -1,11 +1,11 @@
-//! Moves that follow set-points within some ticks: how far past their goal they go.
+//! Overshoot of moves that begin a few ticks after a set-point.
 
 use super::*;
 
-/// Most ticks between the latest set-point and the move.
+/// Greatest number of ticks between the latest set-point and the move.
 const LATEST: usize = 8;
 
-/// The joints with this yaw.
+/// Joint positions of a PSM at rest with this yaw, rad; insertion in m.
 fn yaw(angle: f64) -> Vec<f64> {
     vec![angle, 0.0, 0.12, 0.0, 0.0, 0.0]
 }
@@ -14,7 +14,7 @@ fn servo(angle: f64) -> Command {
     Command::ServoJp { position: yaw(angle), velocity: vec![] }
 }
 
-/// How far yaw and jaw go past these, while the arm is sent to where it is.
+/// Overshoot of yaw and jaw, rad, in the directions `ways`, during a move to the present position.
 fn past(script: &mut Script, ways: [f64; 2]) -> [f64; 2] {
     let there = [script.joints()[0], script.jaw()];
     script.send(Command::MoveJp(yaw(there[0])));
