@@ -25,6 +25,9 @@ mean, and how they compare with the paper, is told in [docs/paper.md](../../../.
 - **evaluated**: by training seed, the part of held-out episodes whose last step succeeds; of
   ActiveTrack, the mean return, of at most 500. The policy is the one that scored best while it
   trained, on other episodes.
+- **demonstrations**: episodes of the scripted expert before training.
+- **expert labels**: states of the policy with an action of the expert, DAgger only; median over
+  seeds.
 - **late fall**: how far the mean of a run's last three scores lies below its best, in points.
 - **trainer**, **server**, **wall**: medians over seeds of what a whole run took, with its scores,
   on machines with two cores that did other things too. PyTorch had one thread.
@@ -90,8 +93,9 @@ def _table(runs: list[Run]) -> str:
     groups: defaultdict[tuple[str, str], list[Run]] = defaultdict(list)
     for run in sorted(runs, key=_place):
         groups[run.config.task, label(run.config)].append(run)
-    header = ["task", "algorithm", "seeds", "evaluated", "mean", "late fall", "trainer"]
-    lines = [[*header, "server", "wall"], ["---"] * 9]
+    header = ["task", "algorithm", "seeds", "evaluated", "mean", "demonstrations", "expert labels"]
+    header += ["late fall", "trainer", "server", "wall"]
+    lines = [header, ["---"] * len(header)]
     lines += [_row(task, name, members) for (task, name), members in groups.items()]
     return "\n".join(f"| {' | '.join(line)} |" for line in lines)
 
@@ -120,6 +124,8 @@ def _row(task: str, name: str, runs: list[Run]) -> list[str]:
         _joined(run.seed for run in runs),
         _joined(f"{value:.1f}" for value in results) or "-",
         f"{mean(results):.1f}{unit}" if results else "-",
+        str(runs[0].config.demos or "-"),
+        f"{median(map(_labels, runs)):.0f}" if runs[0].config.algo == "dagger" else "-",
         _joined(f"{_late_fall(run):.0f}" for run in runs if len(run.rows()) > 3) or "-",
         f"{times['trainer_cpu_s']:.0f} CPU s",
         f"{times['server_cpu_s']:.0f} CPU s",
@@ -148,6 +154,11 @@ def _tested(run: Run, is_named: bool) -> list[dict[str, Any]]:
         if told["policy"] == "best" and (told["condition"] is not None) == is_named
     ]
     return found if any(told["condition"] != AS_TRAINED for told in found) else []
+
+
+def _labels(run: Run) -> int:
+    """Number of states that DAgger had the expert label: each step of the policy in training."""
+    return int(run.rows()[-1]["steps"])
 
 
 def _late_fall(run: Run) -> float:
