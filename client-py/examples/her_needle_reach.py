@@ -14,17 +14,16 @@ import argparse
 import os
 import time
 from pathlib import Path
+from typing import Any
 
 import matplotlib as mpl
 import matplotlib.pyplot as plt
 import numpy as np
 import torch
-from gymnasium import spaces
 from stable_baselines3 import DDPG, HerReplayBuffer
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.noise import NormalActionNoise
-from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 
 import trocar
 from trocar.sb3 import TrocarVecEnv, make_vec
@@ -34,30 +33,9 @@ STEPS = 50  # of an episode
 ROUND = 20 * STEPS  # steps between two scores
 EPISODES = 50  # of a score
 FINAL_EPISODES = 200
+OBSERVATION = ("scaled",)  # metres around 0.05 are too small for networks
 SCORE_SEED = 1_000_000  # far from the seeds that training uses
 FINAL_SEED = 2_000_000
-
-
-class Scaled(BaseFeaturesExtractor):
-    """Observations relative to their bounds: metres are small and close to each other."""
-
-    centre: torch.Tensor
-    reach: torch.Tensor
-
-    def __init__(self, space: spaces.Dict) -> None:
-        super().__init__(space, spaces.flatdim(space))
-        self.keys = list(space)
-        low, high = (
-            torch.cat([torch.as_tensor(getattr(space[key], end)) for key in self.keys])
-            for end in ("low", "high")
-        )
-        self.register_buffer("centre", (low + high) / 2)
-        self.register_buffer("reach", (high - low) / 2)
-
-    def forward(self, observations: dict[str, torch.Tensor]) -> torch.Tensor:
-        """Features of shape (batch, sum of all dimensions), each in [-1, 1]."""
-        features = torch.cat([observations[key] for key in self.keys], dim=1)
-        return (features - self.centre) / self.reach
 
 
 def success_rate(model: BaseAlgorithm, envs: TrocarVecEnv, seed: int) -> float:
@@ -131,8 +109,9 @@ def main() -> None:
     torch.set_num_threads(1)  # the networks are too small for more
     started, started_cpu = time.monotonic(), time.process_time()
     with trocar.Server() as server:
-        envs = make_vec(TASK, num_envs=8, server=server.name)
-        evaluation = make_vec(TASK, num_envs=EPISODES, server=server.name)
+        options: dict[str, Any] = {"server": server.name, "observation": OBSERVATION}
+        envs = make_vec(TASK, num_envs=8, **options)
+        evaluation = make_vec(TASK, num_envs=EPISODES, **options)
         model = DDPG(
             "MultiInputPolicy",
             envs,
@@ -147,14 +126,14 @@ def main() -> None:
             replay_buffer_class=HerReplayBuffer,
             replay_buffer_kwargs={"n_sampled_goal": 4, "goal_selection_strategy": "future"},
             buffer_size=100_000,
-            policy_kwargs={"features_extractor_class": Scaled, "net_arch": [64, 64]},
+            policy_kwargs={"net_arch": [64, 64]},
         )
         rounds = Rounds(evaluation, model_path)
         model.learn(arguments.steps, callback=rounds)
         envs.close()
         evaluation.close()
 
-        final = make_vec(TASK, num_envs=FINAL_EPISODES, server=server.name)
+        final = make_vec(TASK, num_envs=FINAL_EPISODES, **options)
         success = success_rate(DDPG.load(model_path, env=final), final, FINAL_SEED)
         assert server.pid is not None
         simulating, training = cpu_seconds(server.pid), time.process_time() - started_cpu

@@ -97,7 +97,10 @@ impl TaskSpec {
     /// None where the goal is one whole, or where there is none.
     #[getter]
     fn goal_parts(&self) -> Vec<GoalPart> {
-        let success = self.spec.goal.as_ref().map(|goal| &goal.success);
+        let mut success = self.spec.goal.as_ref().map(|goal| &goal.success);
+        while let Some(SuccessRule::Scaled { rule, .. }) = success {
+            success = Some(rule);
+        }
         let Some(SuccessRule::Parts(parts)) = success else { return vec![] };
         parts.iter().cloned().map(GoalPart::from).collect()
     }
@@ -189,7 +192,7 @@ impl TaskSpec {
         let py = observation.py();
         let relative = &self.spec.relative;
         if relative.features.is_empty() {
-            let allowed = "this task has no relative features";
+            let allowed = "this task has no relative features, or its observation is scaled";
             let refusal = Rejection::new(Code::Unsupported, "task", &self.spec.id, allowed);
             return Err(error::rejection(py, &refusal));
         }

@@ -14,7 +14,7 @@ use crate::spec::{ImageSpec, Options, TaskSpec};
 pub const MAX_MESSAGE: usize = 64 * 1024;
 
 /// Version of everything in this crate; both sides must have the same.
-pub const PROTOCOL_VERSION: u32 = 18;
+pub const PROTOCOL_VERSION: u32 = 19;
 
 macro_rules! control_messages {
     ($(

@@ -5,6 +5,8 @@
 
 use serde::{Deserialize, Serialize};
 
+use crate::scaled::Range;
+
 /// When an achieved goal counts as the desired one.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub enum SuccessRule {
@@ -30,6 +32,13 @@ pub enum SuccessRule {
     },
     /// Every part of the goal by itself: they have different units.
     Parts(Vec<GoalPart>),
+    /// A rule of unscaled goals, for scaled ones.
+    Scaled {
+        /// Range of each element before scaling.
+        ranges: Vec<Range>,
+        /// The rule of unscaled goals.
+        rule: Box<SuccessRule>,
+    },
 }
 
 /// Some numbers of a goal that belong together: a position, a share, a force.
@@ -74,6 +83,11 @@ impl SuccessRule {
             Self::Parts(parts) => {
                 parts.iter().all(|part| part.distance(achieved, desired) < part.tolerance)
             }
+            Self::Scaled { ranges, rule } => {
+                let [achieved, desired] =
+                    [achieved, desired].map(|goal| Range::unscale_all(ranges, goal));
+                rule.holds(&achieved, &desired)
+            }
         }
     }
 }
@@ -103,6 +117,11 @@ impl Reward {
                 SuccessRule::Parts(parts) => {
                     let distance = |part: &GoalPart| part.distance(achieved, desired) / part.unit;
                     -parts.iter().map(distance).fold(0.0, |sum, part| sum + part)
+                }
+                SuccessRule::Scaled { ranges, rule } => {
+                    let [achieved, desired] =
+                        [achieved, desired].map(|goal| Range::unscale_all(ranges, goal));
+                    self.of(rule, &achieved, &desired)
                 }
                 _ => -distance(achieved, desired),
             },

@@ -15,6 +15,7 @@
 //! | [`spec`] | what a task looks like: actions, observations, goals, options |
 //! | [`goal`] | distance, success and reward as pure functions of goals |
 //! | [`relative`] | features as pure functions of state and goals |
+//! | [`scaled`] | scaling of state and goals by their ranges |
 //! | [`stage`] | what a scripted expert is about |
 //! | [`placement`] | how an episode shall begin |
 //! | [`seed`] | which numbers are seeds |
@@ -51,6 +52,7 @@ pub mod open_files;
 pub mod part;
 pub mod placement;
 pub mod relative;
+pub mod scaled;
 pub mod seed;
 pub mod snapshot;
 pub mod spec;

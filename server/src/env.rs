@@ -177,8 +177,8 @@ impl Env {
         Self::MEMORY_BYTES + world.memory_bytes()
     }
 
-    /// An environment of `task` under all of `options`, which looks like `spec`, whose state has the elements `state`,
-    /// and which prepared `world`; it needs a reset.
+    /// An environment of `task` under all of `options`. `spec` is the specification before scaling, `state` holds the
+    /// elements of the state, `world` was prepared by the task. The environment needs a reset.
     pub(crate) fn new(
         spec: TaskSpec,
         state: Vec<Element>,
@@ -192,7 +192,7 @@ impl Env {
             (spec.action_dim(), spec.observation_dim(), spec.goal_dim());
         Self {
             substeps: rate::substeps(spec.seconds_per_step),
-            spec: Arc::new(spec),
+            spec: Arc::new(options::shown(spec.clone(), &options)),
             beginning: if task.begins_prepared() {
                 Beginning::Starts(Arc::new(Starts::new(task.clone(), world.clone())))
             } else {
@@ -205,6 +205,7 @@ impl Env {
                 has_state: options::observes_state(&options)
                     || !options::observes_numbers(&options),
                 has_features: relative::is_wanted(&options),
+                plain: options::is_scaled(&options).then(|| Arc::new(spec)),
             },
             measured: vec![],
             terminates_on_success: options::terminates_on_success(&options),

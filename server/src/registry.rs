@@ -67,7 +67,8 @@ impl Registry {
     ) -> Result<(TaskSpec, u64), Rejection> {
         let mut made = self.build(id, options)?;
         let imaging = Imaging::of(&made.options, || made.first_scene())?;
-        Ok((made.spec(options, imaging.as_ref()), Env::memory_bytes_with(&made.world)))
+        let spec = options::shown(made.spec(options, imaging.as_ref()), &made.options);
+        Ok((spec, Env::memory_bytes_with(&made.world)))
     }
 
     /// An environment of the task `id` under `options`; it needs a reset.
@@ -109,8 +110,7 @@ impl Registry {
             let allowed = format!("unknown task{hint}; this server knows {ids:?}");
             return Err(Rejection::new(Code::UnknownTask, "task", format!("{id:?}"), allowed));
         };
-        let known = options::with_common((entry.options)());
-        let allowed = options::under_preset(known, options);
+        let allowed = options::under_preset(known_options(&entry.info, (entry.options)()), options);
         let options = options.resolve(&allowed)?;
         let (task, world) = (entry.make)(&options)?;
         let state = State::elements(|state| task.state(&world, state));
@@ -119,6 +119,11 @@ impl Registry {
             let allowed = "this task has no relative features";
             let word = format!("{:?}", relative::WORD);
             return Err(Rejection::new(Code::InvalidOption, "options.observation", word, allowed));
+        }
+        if relative::is_wanted(&options) && options::is_scaled(&options) {
+            let allowed = "relative features are of unscaled numbers; allowed is one of both words";
+            let words = format!("{:?}", [options::SCALED, relative::WORD]);
+            return Err(Rejection::new(Code::InvalidOption, "options.observation", words, allowed));
         }
         let known = (entry.options)();
         Ok(Made { info: entry.info, known, options, task, world, state, relative })
@@ -155,8 +160,15 @@ struct Made {
     relative: Relative,
 }
 
+/// The task's own options and the common options of all tasks.
+fn known_options(info: &TaskInfo, own: Vec<OptionSpec>) -> Vec<OptionSpec> {
+    let mut known = options::with_common(own);
+    known.push(options::episode_seconds(f64::from(info.steps) / info.hertz));
+    known
+}
+
 impl Made {
-    /// What it looks like; `given` are the options that were completed: defaults are those of its preset.
+    /// What it looks like, unscaled; `given` are the options that were completed: defaults are those of its preset.
     fn spec(&mut self, given: &Options, imaging: Option<&Imaging>) -> TaskSpec {
         let goal = self.task.goal().map(|goal| GoalSpec {
             success: options::tolerated(goal.success, &self.options),
@@ -174,11 +186,11 @@ impl Made {
             observation.extend(relative.elements());
         }
         let rate = Rate::nominal(self.info.hertz).of(&self.options);
-        let known = options::with_common(self.known.clone());
+        let known = known_options(&self.info, self.known.clone());
         TaskSpec {
             id: self.info.id.into(),
             summary: self.info.summary.into(),
-            max_steps: rate.steps(self.info.steps),
+            max_steps: rate.steps_in(options::episode_seconds_of(&self.options)),
             seconds_per_step: rate.seconds(),
             action: self.task.action(),
             observation,

@@ -23,6 +23,7 @@ mod placement;
 mod relative;
 mod render;
 mod robustness;
+mod scaled;
 mod soft;
 mod soft_grasp;
 mod stages;

@@ -461,3 +461,21 @@ fn what_arms_measure_of_themselves_tells_nothing_of_objects() {
         assert_eq!(beside[..beside.len() - alone.len()], seen(&state, 1), "{id}");
     }
 }
+
+#[test]
+fn the_option_episode_seconds_sets_the_step_of_truncation() {
+    for (id, seconds, hertz, steps) in [
+        ("NeedleReach-v0", 0.6, 5.0, 3),
+        ("NeedleReach-v0", 20.0, 10.0, 200),
+        ("EcmReach-v0", 0.4, 10.0, 4),
+    ] {
+        let options = at_rate(hertz).with("episode_seconds", OptionValue::Number(seconds));
+        let mut env = make(id, &options);
+        assert_eq!(env.spec().max_steps, steps);
+        env.reset(Some(1));
+        let action = vec![0.0; env.spec().action_dim()];
+        for step in 1..=steps {
+            assert_eq!(env.step(&action).unwrap().truncated, step == steps, "{id}, step {step}");
+        }
+    }
+}

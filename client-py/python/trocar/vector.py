@@ -153,8 +153,7 @@ class TrocarVectorEnv(
         if max_episode_steps not in (None, spec.max_steps):
             self.close()
             allowed = (
-                f"allowed is {spec.max_steps}, the task's own number; gymnasium.make shortens the "
-                "episodes of single environments"
+                f"allowed is {spec.max_steps}; the option episode_seconds sets the length of episodes"
             )
             raise refuse(InvalidOption, "max_episode_steps", max_episode_steps, allowed)
         self._copy = truth(copy, "copy")

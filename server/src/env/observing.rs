@@ -2,6 +2,8 @@
 
 use std::sync::Arc;
 
+use trocar_proto::TaskSpec;
+use trocar_proto::scaled::scale_all;
 use trocar_proto::spec::Element;
 
 use super::Env;
@@ -29,6 +31,8 @@ pub(super) struct Sight {
     pub(super) has_state: bool,
     /// Whether relative features of it are.
     pub(super) has_features: bool,
+    /// The specification before scaling, if numbers are scaled.
+    pub(super) plain: Option<Arc<TaskSpec>>,
 }
 
 /// The sensor noise of an episode.
@@ -66,14 +70,15 @@ impl Env {
 
     /// Writes what is seen now: with this episode's noise on observed positions, within the bounds. A
     /// number that is not finite is written as 0, so that one environment does not spoil a client's
-    /// statistics. Returns whether all of it was finite.
+    /// statistics. Scaling comes last. Returns whether all of it was finite.
     pub(super) fn look(
         &self,
         observation: &mut [f32],
         achieved: &mut [f32],
         desired: &mut [f32],
     ) -> bool {
-        let Sight { elements, has_state, has_features } = &self.sight;
+        let Sight { elements, has_state, has_features, plain } = &self.sight;
+        let spec = plain.as_ref().unwrap_or(&self.spec);
         let shown = if *has_state { elements.len() } else { 0 };
         let (state, rest) = observation.split_at_mut(shown);
         let (measured, features) = rest.split_at_mut(self.measured.len());
@@ -82,7 +87,7 @@ impl Env {
         self.task.state(&self.world, &mut Fields::read(state));
         self.task.goals(&self.world, achieved, desired);
         measured.copy_from_slice(&self.measured);
-        let own = &self.spec.observation[shown..];
+        let own = &spec.observation[shown..];
         let mut finite = self.bound_all("observation", measured, own);
         if self.is_noisy() {
             let mut rng = self.noise.rng.clone();
@@ -97,12 +102,19 @@ impl Env {
         } else {
             finite &= self.bound_all("observation", state, elements);
         }
-        if let Some(goal) = &self.spec.goal {
+        if let Some(goal) = &spec.goal {
             finite &= self.bound_all("achieved", achieved, &goal.elements);
             finite &= self.bound_all("desired", desired, &goal.elements);
         }
         if *has_features {
-            self.spec.relative.write(state, achieved, desired, features);
+            spec.relative.write(state, achieved, desired, features);
+        }
+        if let Some(plain) = plain {
+            scale_all(&plain.observation, observation);
+            if let Some(goal) = &plain.goal {
+                scale_all(&goal.elements, achieved);
+                scale_all(&goal.elements, desired);
+            }
         }
         finite
     }

@@ -101,7 +101,7 @@ impl Identity {
         }
         recipe.placement.check()?;
         let (dim, count) = (self.spec.action_dim(), recipe.actions.len());
-        let most = self.spec.max_steps as usize;
+        let most = (self.spec.max_steps as usize).min(RECORDED / dim);
         if !count.is_multiple_of(dim) || count / dim > most {
             let allowed = format!("allowed are {dim} numbers for each of at most {most} steps");
             return refuse("actions", format!("{count} numbers"), allowed);

@@ -58,6 +58,11 @@ impl Rate {
         (f64::from(nominal) / self.scale()).round() as u32
     }
 
+    /// Steps in `seconds` at this rate; at least 1.
+    pub fn steps_in(self, seconds: f64) -> u32 {
+        (seconds * self.hertz).round().max(1.0) as u32
+    }
+
     /// A step's time over that of one at the nominal rate, where it is exactly 1.
     pub fn scale(self) -> f64 {
         self.nominal / self.hertz

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use trocar_proto::goal::{Reward, SuccessRule};
 use trocar_proto::spec::{Allowed, Element, ImageKind, OptionSpec, OptionValue, RowSpec};
-use trocar_proto::{Code, Options, Rejection};
+use trocar_proto::{Code, Options, Rejection, TaskSpec};
 
 use super::proprioception::Proprioception;
 use super::relative;
@@ -144,7 +144,20 @@ pub(crate) fn observes(options: &Options, name: &str) -> bool {
 
 /// Whether resolved options ask for the task's state.
 pub(crate) fn observes_state(options: &Options) -> bool {
-    observes(options, "state") || perceives(options)
+    observes(options, "state") || perceives(options) || is_scaled(options)
+}
+
+/// The word of `observation` for a state and goals that are scaled by their ranges.
+pub(crate) const SCALED: &str = "scaled";
+
+/// True if resolved options ask for scaled numbers.
+pub(crate) fn is_scaled(options: &Options) -> bool {
+    observes(options, SCALED)
+}
+
+/// The specification that clients get of an unscaled one.
+pub(crate) fn shown(plain: TaskSpec, options: &Options) -> TaskSpec {
+    if is_scaled(options) { plain.scaled() } else { plain }
 }
 
 /// `terminate`: whether success ends an episode.
@@ -185,7 +198,25 @@ pub(crate) fn tolerated(rule: SuccessRule, options: &Options) -> SuccessRule {
             }
             SuccessRule::Parts(parts)
         }
+        SuccessRule::Scaled { ranges, rule } => {
+            SuccessRule::Scaled { ranges, rule: Box::new(tolerated(*rule, options)) }
+        }
     }
+}
+
+/// `episode_seconds`: simulated time until an episode is truncated, s; `own` is the task's own time.
+pub(crate) fn episode_seconds(own: f64) -> OptionSpec {
+    OptionSpec {
+        name: "episode_seconds".into(),
+        summary: "Simulated time until an episode is truncated, s.".into(),
+        default: OptionValue::Number(own),
+        allowed: Allowed::Range { min: 0.01, max: 3600.0 },
+    }
+}
+
+/// Simulated time until truncation, s, of resolved options.
+pub(crate) fn episode_seconds_of(options: &Options) -> f64 {
+    options.number("episode_seconds").expect("every task has this option")
 }
 
 /// Whether resolved options let success end an episode.
@@ -216,6 +247,8 @@ pub(crate) fn with_common(mut known: Vec<OptionSpec>) -> Vec<OptionSpec> {
                            proprioception (joints, tip, jaw) are what the arms measure of themselves, after \
                            it or without it; rgb, depth (m), mask (bodies) and points (m) are pictures."
         .into();
+    observation.summary +=
+        " scaled: the state and the goals, each element as (x - centre) / half-width of its range.";
     if has_goal {
         observation.summary +=
             " relative: where things are from each other, made of state and goals.";
@@ -228,6 +261,7 @@ pub(crate) fn with_common(mut known: Vec<OptionSpec>) -> Vec<OptionSpec> {
             observation.summary +=
                 " perceived: a state whose target is found in the endoscope's picture.";
         }
+        words.push(SCALED.into());
         words.extend(Proprioception::WORDS.map(String::from));
         let more = [(Proprioception::CONTACT, grasps), (relative::WORD, has_goal)];
         words.extend(more.iter().filter(|(_, has)| *has).map(|(word, _)| word.to_string()));
