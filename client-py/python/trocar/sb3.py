@@ -140,9 +140,9 @@ class TrocarVecEnv(VecEnv):
         return [getattr(self.envs, method_name)(*method_args, **method_kwargs)] * len(rows)
 
     def get_attr(self, attr_name: str, indices: int | Iterable[int] | None = None) -> list[Any]:
-        """An attribute of environments, which all have in common."""
-        single = f"single_{attr_name}" if attr_name.endswith("_space") else attr_name
-        return [getattr(self.envs, single)] * len(self._rows(indices))
+        """An attribute of environments, as :meth:`TrocarVectorEnv.get_attr` returns it."""
+        values = self.envs.get_attr(attr_name)
+        return [values[row] for row in self._rows(indices)]
 
     def set_attr(
         self, attr_name: str, value: Any, indices: int | Iterable[int] | None = None
