@@ -18,13 +18,18 @@ import gymnasium as gym
 import numpy as np
 from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
-from stable_baselines3.common.vec_env.base_vec_env import VecEnv, VecEnvStepReturn
 
 from trocar._arrays import selected
+from trocar._extras import missing_extra
 from trocar._goal import GoalFunctions
 from trocar.errors import InvalidEnvIds, InvalidOption, InvalidRequest, refuse
 from trocar.registration import NAMESPACE
 from trocar.vector import EPISODE, EXPERT, TrocarVectorEnv, nothing
+
+try:
+    from stable_baselines3.common.vec_env.base_vec_env import VecEnv, VecEnvStepReturn
+except ImportError as error:
+    raise missing_extra(error, "sb3", "trocar.sb3") from error
 
 METHODS = tuple(name for name in vars(GoalFunctions) if name.startswith("compute_"))
 """What :meth:`TrocarVecEnv.env_method` answers: functions of goals, without asking the server."""

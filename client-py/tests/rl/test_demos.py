@@ -5,8 +5,10 @@ from __future__ import annotations
 import errno
 import json
 import os
+import signal
 import subprocess
 import sys
+import time
 import warnings
 from pathlib import Path
 from typing import Any
@@ -357,3 +359,38 @@ def test_a_missing_extra_is_named(
     monkeypatch.setitem(sys.modules, "h5py", None)
     with pytest.raises(ModuleNotFoundError, match=r"pip install trocar\[demos\]"):
         record(TASK, episodes=1, out=tmp_path, server=server)
+
+
+@pytest.mark.filterwarnings("ignore:Package trocar is not installed:UserWarning")
+@pytest.mark.parametrize("form", ["minari", "lerobot"])
+def test_a_task_of_another_server_is_recorded(
+    form: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    program = Path(trocar.binary()).resolve().parent / "examples" / "own_task"
+    if not program.exists():
+        pytest.skip("cargo build -p trocar-server --example own_task makes it")
+    name = f"own-demos-{os.getpid()}"
+    process = subprocess.Popen([program, name], stderr=subprocess.DEVNULL)
+    try:
+        deadline = time.monotonic() + 60.0
+        while not runs(name):
+            assert time.monotonic() < deadline
+            time.sleep(0.01)
+        flags = ["--task", "PushCube-v0", "--episodes", "2", "--server", name, "--format", form]
+        assert main([*flags, "--out", str(tmp_path)]) == 0
+        if form == "minari":
+            dataset = loaded(tmp_path, "PushCube-v0", "expert-v0", monkeypatch)
+            env = dataset.recover_environment()
+            assert env.observation_space == dataset.observation_space
+            env.close()
+    finally:
+        process.send_signal(signal.SIGINT)
+        assert process.wait() == 0
+
+
+def runs(server: str) -> bool:
+    try:
+        trocar.status(server)
+    except trocar.errors.NoServer:
+        return False
+    return True

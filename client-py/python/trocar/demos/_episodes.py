@@ -152,7 +152,7 @@ def save(path: Path, episodes: Sequence[Episode]) -> None:
         beside.replace(path)
     except OSError as error:
         beside.unlink(missing_ok=True)
-        raise OSError(error.errno, error.strerror, str(path)) from error
+        raise OSError(error.errno, error.strerror or str(error), str(path)) from error
 
 
 def load(path: Path) -> Iterator[Episode]:

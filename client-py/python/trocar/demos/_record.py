@@ -13,12 +13,15 @@ from pathlib import Path
 from typing import Any
 
 import trocar
+from trocar._connection import SERVER
+from trocar._extras import missing_extra
 from trocar._goal import check_seed
 from trocar._trocar import TaskSpec
 from trocar.demos._by_hand import demonstrate
 from trocar.demos._episodes import Episode, load, run, save
 from trocar.dvrk.env import LiveEnv
 from trocar.errors import InvalidRequest, refuse
+from trocar.registration import TASKS, register
 from trocar.vector import TrocarVectorEnv
 
 FORMATS = ("minari", "lerobot")
@@ -146,6 +149,8 @@ def record(
             allowed = "LeRobot's data sets have no pictures here; the format minari has"
             value = options.get("observation")
             raise refuse(InvalidRequest, "options.observation", value, allowed)
+        # A data set names the environment of a server's own task by its Gymnasium id.
+        register(task, server=None if task in TASKS else server or os.environ.get(SERVER))
         partial.mkdir(parents=True, exist_ok=True)
         with _locked(partial):
             if target.exists():  # another process has finished it meanwhile
@@ -239,8 +244,7 @@ def _writer(format: str) -> Callable[[Path, Recipe, TaskSpec, Iterator[Episode]]
         else:
             from trocar.demos._lerobot import write
     except ImportError as error:
-        text = f"{error}; demonstrations need the extra: pip install trocar[demos]"
-        raise ModuleNotFoundError(text) from error
+        raise missing_extra(error, "demos", "trocar demos") from error
     return write
 
 
