@@ -221,7 +221,7 @@ test-ros2: develop ## * `trocar dvrk` against rclpy over ROS 2; needs Python 3.1
 
 .PHONY: test-rl
 test-rl: develop .venv-rl/ready .venv-rllib/ready ## * SB3, TorchRL, CleanRL, RLlib: tests, examples; fetches 5 GB
-	cd client-py && $(RL_BIN)/mypy python/trocar/sb3.py python/trocar/{demos,rl}/*.py tests/rl/test_{pages,sb3,demos,algorithms,curriculum,training,features,episodes,own}.py examples/her_needle_reach.py examples/parts.py examples/worker_processes.py
+	cd client-py && $(RL_BIN)/mypy python/trocar/{sb3,_sb3_export}.py python/trocar/{demos,rl}/*.py tests/rl/test_{pages,sb3,demos,algorithms,curriculum,training,features,episodes,own}.py examples/her_needle_reach.py examples/parts.py examples/worker_processes.py
 	cd client-py && $(RL_TEST) $(RL_BIN)/python -m pytest -W ignore::DeprecationWarning tests/rl python/trocar/sb3.py
 	cd client-py && $(RL_TEST) $(RL_BIN)/python examples/her_needle_reach.py --steps 3000 --out $(TARGET)/her_needle_reach
 	cd client-py && $(RL_TEST) $(RL_BIN)/python examples/parts.py

@@ -30,7 +30,7 @@ pub(crate) fn matrix<'py, T: Element>(
 }
 
 /// The pictures of one view: a (rows, …) array of those that lie (rows, views, …), as [`matrix`].
-pub(crate) fn pictures<'py, T: Element>(
+pub(crate) fn pictures<'py, T: Element + Copy>(
     reply: &Bound<'py, Reply>,
     part: Part<T>,
     shape: &[usize],
@@ -39,11 +39,22 @@ pub(crate) fn pictures<'py, T: Element>(
     copy: bool,
 ) -> PyResult<Bound<'py, PyArrayDyn<T>>> {
     let inner = reply.get().inner();
-    let shape = [&[inner.rows(), views], shape].concat();
-    let all = ArrayViewD::from_shape(shape, part(&inner))
+    let all = ArrayViewD::from_shape([&[inner.rows(), views], shape].concat(), part(&inner))
         .map_err(|error| error::new(reply.py(), "Malformed", error.to_string()))?;
     let rows = all.index_axis(Axis(1), index);
-    if copy { Ok(PyArrayDyn::from_array(reply.py(), &rows)) } else { view(&rows, reply) }
+    if !copy {
+        return view(&rows, reply);
+    }
+    let copied = PyArrayDyn::zeros(reply.py(), rows.raw_dim(), false);
+    let size = shape.iter().product::<usize>().max(1);
+    // One copy per picture: NumPy's own copy of an array with gaps moves single elements.
+    let pictures = part(&inner).chunks_exact(size).skip(index).step_by(views);
+    for (target, picture) in
+        copied.try_readwrite()?.as_slice_mut()?.chunks_exact_mut(size).zip(pictures)
+    {
+        target.copy_from_slice(picture);
+    }
+    Ok(copied)
 }
 
 #[allow(unsafe_code)]

@@ -209,6 +209,16 @@ def test_the_command_line_says_what_is_wrong(server: str) -> None:
     assert "trocar serve --name no-such-server" in done.stderr
 
 
+@pytest.mark.parametrize("name", ["nowhere.py", "folder"])
+def test_a_missing_script_is_one_line(server: str, tmp_path: Path, name: str) -> None:
+    (tmp_path / "folder").mkdir()
+    process = run(server, str(tmp_path / name))
+    assert process.returncode == 1
+    assert len(process.stderr.splitlines()) == 1, process.stderr
+    assert name in process.stderr
+    assert "expected a Python file" in process.stderr
+
+
 def test_a_script_imports_modules_of_its_own_folder(server: str, tmp_path: Path) -> None:
     """``sys.path[0]`` is the script's folder, as under Python itself."""
     (tmp_path / "lab_poses.py").write_text("ABOVE = 0.12\n")

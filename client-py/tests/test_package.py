@@ -69,3 +69,47 @@ def test_the_random_policy_example_runs(server: str) -> None:
     done = run(str(EXAMPLES / "random_policy.py"), server)
     assert done.returncode == 0, done.stderr
     assert "expert: 8 of 8" in done.stdout
+
+
+@pytest.mark.parametrize(
+    ("command", "package", "remedy"),
+    [
+        (["-m", "trocar.rl", "configs"], "matplotlib", "pip install trocar[rl]"),
+        (["-m", "trocar.rl", "configs"], "onnx", "pip install trocar[rl]"),
+        (["-m", "trocar.demos", "--task", "NeedleReach-v0"], "minari", "pip install trocar[demos]"),
+        (
+            ["-m", "trocar.dvrk.deploy", "NeedleReach", "--log", "logs", "--plot"],
+            "matplotlib",
+            "pip install trocar[deploy]",
+        ),
+    ],
+)
+def test_a_missing_extra_is_one_line_with_the_remedy(
+    command: list[str],
+    package: str,
+    remedy: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    hide(package, tmp_path)
+    monkeypatch.chdir(tmp_path)
+    said = run(*command, PYTHONPATH=f"{tmp_path}:{Path(trocar.__file__).parents[1]}")
+    assert said.returncode != 0
+    assert remedy in said.stderr
+    assert len(said.stderr.splitlines()) == 1, said.stderr
+    assert not (tmp_path / "logs").exists()
+
+
+def test_imports_without_an_extra_raise_an_import_error_with_the_remedy(tmp_path: Path) -> None:
+    hide("stable_baselines3", tmp_path)
+    hide("matplotlib", tmp_path)
+    for module, extra in (("trocar.sb3", "sb3"), ("trocar.rl", "rl")):
+        code = f"try: import {module}\nexcept ImportError as error: print(error)"
+        said = run("-c", code, PYTHONPATH=f"{tmp_path}:{Path(trocar.__file__).parents[1]}")
+        assert said.stdout.strip().endswith(f"pip install trocar[{extra}]"), said.stderr
+
+
+def hide(package: str, folder: Path) -> None:
+    """Puts a module into a folder that fails as if the package were not installed."""
+    text = f"raise ModuleNotFoundError('no package {package}')"
+    (folder / f"{package}.py").write_text(text)

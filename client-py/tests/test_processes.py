@@ -392,3 +392,45 @@ def test_the_interpreter_ends_cleanly_with_environments_and_views_open(
     assert hear(process) == "done"
     assert process.wait() == 0
     assert own_server.status()["sessions"] == []
+
+
+RELATIVE = """
+import os, trocar
+os.chdir("/")
+with trocar.Server(threads=1) as server:
+    print(server.status()["name"] == server.name)
+print(trocar.status()["name"])
+"""
+
+
+def test_a_relative_path_of_the_program_survives_a_change_of_folder(script: Script) -> None:
+    relative = os.path.relpath(trocar.binary())
+    process = script(RELATIVE, TROCAR_BINARY=relative)
+    assert hear(process) == "True"
+    assert hear(process).startswith("private-")
+    assert process.wait() == 0
+
+
+IGNORES_CHILDREN = """
+import signal, trocar
+signal.signal(signal.SIGCHLD, signal.SIG_IGN)
+for start in (trocar.Server(threads=1).start, trocar.status):
+    try:
+        start()
+    except trocar.errors.LaunchError as error:
+        print(str(error).replace("\\n", " "))
+"""
+
+
+def test_a_parent_that_ignores_sigchld_learns_why_a_server_did_not_start(
+    script: Script, tmp_path: Path
+) -> None:
+    program = tmp_path / "trocar"
+    program.write_text("#!/bin/sh\necho no space is left for the log >&2\nexit 3\n")
+    program.chmod(0o755)
+    process = script(IGNORES_CHILDREN, TROCAR_BINARY=str(program))
+    for _ in range(2):
+        said = hear(process)
+        assert "unknown status, since this process ignores SIGCHLD" in said
+        assert "no space is left for the log" in said
+    assert process.wait() == 0

@@ -265,18 +265,64 @@ def test_closing_twice_is_fine_and_a_closed_environment_says_so(task: str, serve
             use()
 
 
-def test_attributes_are_shared(server: str) -> None:
-    envs = make_vec("EcmReach-v0", server, 3)
+def test_attributes_are_those_of_single_environments(server: str) -> None:
+    """As Gymnasium's own vector environment gives them."""
+    envs = make_vec("EcmReach-v0", server, 3, expert=True)
+    singles = SyncVectorEnv([lambda: trocar.TrocarEnv("EcmReach-v0", server=server)] * 3)
+    for name in ("action_space", "observation_space", "metadata", "render_mode"):
+        assert envs.get_attr(name) == envs.call(name) == singles.get_attr(name)
     assert envs.get_attr("task_spec") == (envs.task_spec,) * 3
+    for name in ("num_envs", "single_observation_space", "autoreset_mode", "no_such_attribute"):
+        for vector in (envs, singles):
+            with pytest.raises(AttributeError, match=name):
+                vector.get_attr(name)
+            with pytest.raises(AttributeError, match=name):
+                vector.call(name)
+        assert envs.call("has_wrapper_attr", name) == singles.call("has_wrapper_attr", name)
+    envs.close()
+    singles.close()
+
+
+def test_methods_give_a_result_for_each_environment(server: str) -> None:
+    """As Gymnasium's own vector environment calls them."""
+    envs = make_vec("EcmReach-v0", server, 3, expert=True)
+    singles = SyncVectorEnv(
+        [lambda: trocar.TrocarEnv("EcmReach-v0", server=server, expert=True)] * 3
+    )
     goal = np.zeros(3, np.float32)
-    assert envs.call("compute_reward", goal, goal) == (0.0,) * 3
+    assert envs.call("compute_reward", goal, goal) == singles.call("compute_reward", goal, goal)
+    for seeds in ({"seed": 5}, {}):
+        begun, expected = envs.call("reset", **seeds), singles.call("reset", **seeds)
+        assert len(begun) == 3
+        for (seen, info), (wanted, wanted_info) in zip(begun, expected, strict=True):
+            assert same(seen, wanted)
+            assert info.keys() == wanted_info.keys()
+            assert all(np.array_equal(info[name], wanted_info[name]) for name in info)
+    actions, wanted_actions = envs.call("expert_action"), singles.call("expert_action")
+    assert len(actions) == 3
+    assert all(map(same, actions, wanted_actions))
+    assert [len(each) for each in envs.call("snapshot")] == [1] * 3
+    assert envs.call("render") == singles.call("render")
+    with pytest.raises(ValueError, match=r"share a session; use TrocarVectorEnv\.step"):
+        envs.call("step", np.zeros(3))
+    envs.close()
+    singles.close()
+
+
+def test_attributes_are_set_for_each_environment(server: str) -> None:
+    """Attributes of the task are shared."""
+    envs = make_vec("EcmReach-v0", server, 3)
     envs.set_attr("note", "kept")
     assert envs.get_attr("note") == ("kept",) * 3
-    envs.set_attr("note", [np.zeros(2)] * 2 + [[0.0, 0.0]])
-    assert all((note == 0).all() for note in envs.get_attr("note"))
-    for values in ([1, 2, 3], [1, 1], [np.zeros(2), np.zeros(2), np.ones(2)]):
-        with pytest.raises(ValueError, match=r"note = .*share"):
-            envs.set_attr("note", values)
+    envs.set_attr("note", [1, 2, 3])
+    assert envs.get_attr("note") == envs.call("note") == (1, 2, 3)
+    assert not hasattr(envs, "note")
+    with pytest.raises(ValueError, match=r"note = .*each of 3"):
+        envs.set_attr("note", [1, 1])
+    envs.set_attr("render_mode", [None] * 3)
+    with pytest.raises(ValueError, match=r"render_mode = .*share"):
+        envs.set_attr("render_mode", [None, None, "rgb_array"])
+    assert pickle.loads(pickle.dumps(envs)).get_attr("note") == (1, 2, 3)
     envs.close()
 
 

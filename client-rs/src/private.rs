@@ -15,6 +15,7 @@ use std::sync::{Mutex, OnceLock, PoisonError};
 use std::time::{Duration, Instant};
 
 use rustix::fs::{FallocateFlags, FlockOperation, fallocate, flock};
+use rustix::io::Errno;
 use trocar_proto::Rejection;
 use trocar_proto::endpoint::{Endpoint, Membership, ServerName, ServerState};
 
@@ -118,8 +119,7 @@ impl PrivateServer {
             })?;
         let start = Instant::now();
         while !runs() {
-            let ended = child.try_wait().map_err(|error| failed("wait", &error))?;
-            if let Some(status) = ended {
+            if let Some(status) = end_of(&mut child).map_err(|error| failed("wait", &error))? {
                 let mut log = String::new();
                 File::open(&log_path).and_then(|mut file| file.read_to_string(&mut log)).ok();
                 return Err(failed(&format!("it ended with {status}"), &log.trim()));
@@ -131,6 +131,18 @@ impl PrivateServer {
         }
         keep(child);
         Ok(())
+    }
+}
+
+/// Exit status of a process that has ended, in words; `None` while the process runs. The kernel keeps no status for a
+/// parent that ignores SIGCHLD.
+fn end_of(child: &mut Child) -> io::Result<Option<String>> {
+    match child.try_wait() {
+        Ok(status) => Ok(status.map(|status| status.to_string())),
+        Err(error) if error.raw_os_error() == Some(Errno::CHILD.raw_os_error()) => {
+            Ok(Some("an unknown status, since this process ignores SIGCHLD".into()))
+        }
+        Err(error) => Err(error),
     }
 }
 

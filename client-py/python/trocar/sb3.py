@@ -18,13 +18,22 @@ import gymnasium as gym
 import numpy as np
 from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
-from stable_baselines3.common.vec_env.base_vec_env import VecEnv, VecEnvStepReturn
 
 from trocar._arrays import selected
+from trocar._extras import missing_extra
 from trocar._goal import GoalFunctions
 from trocar.errors import InvalidEnvIds, InvalidOption, InvalidRequest, refuse
 from trocar.registration import NAMESPACE
 from trocar.vector import EPISODE, EXPERT, TrocarVectorEnv, nothing
+
+try:
+    from stable_baselines3.common.vec_env.base_vec_env import VecEnv, VecEnvStepReturn
+except ImportError as error:
+    raise missing_extra(error, "sb3", "trocar.sb3") from error
+
+from trocar._sb3_export import export
+
+__all__ = ["METHODS", "TrocarVecEnv", "export", "make_vec"]
 
 METHODS = tuple(name for name in vars(GoalFunctions) if name.startswith("compute_"))
 """What :meth:`TrocarVecEnv.env_method` answers: functions of goals, without asking the server."""
@@ -128,21 +137,29 @@ class TrocarVecEnv(VecEnv):
         """What a function of goals gives: the same for each environment, so it is called once.
 
         Raises:
-            ValueError: It is not one of :data:`METHODS`.
+            ValueError: The function is not one of :data:`METHODS`, or rewards of relabelled goals
+                are requested while observations have relative features.
         """
         rows = self._rows(indices)
         if method_name == "render":
             images = self.get_images()
             return [images[row] for row in rows]
+        if method_name == "compute_reward" and "relative" in self._observed():
+            allowed = (
+                "relative features contain the goal, which hindsight replay does not replace in "
+                "observations; observe the state, and compute trocar.features in the policy, or "
+                "train by trocar.rl with inputs=relative"
+            )
+            raise refuse(InvalidOption, "options.observation", self._observed(), allowed)
         if method_name not in METHODS:
             allowed = f"allowed are {[*METHODS, 'render']}; the session as a whole is `envs`"
             raise refuse(InvalidRequest, "method_name", method_name, allowed)
         return [getattr(self.envs, method_name)(*method_args, **method_kwargs)] * len(rows)
 
     def get_attr(self, attr_name: str, indices: int | Iterable[int] | None = None) -> list[Any]:
-        """An attribute of environments, which all have in common."""
-        single = f"single_{attr_name}" if attr_name.endswith("_space") else attr_name
-        return [getattr(self.envs, single)] * len(self._rows(indices))
+        """An attribute of environments, as :meth:`TrocarVectorEnv.get_attr` returns it."""
+        values = self.envs.get_attr(attr_name)
+        return [values[row] for row in self._rows(indices)]
 
     def set_attr(
         self, attr_name: str, value: Any, indices: int | Iterable[int] | None = None
@@ -183,6 +200,11 @@ class TrocarVecEnv(VecEnv):
             for info, action, stage in zip(told, infos["expert_action"], stages, strict=True):
                 info |= {"expert_action": action, "expert_stage": stage}
         return told
+
+    def _observed(self) -> Sequence[str]:
+        """Words of the task's option ``observation``."""
+        given = self.envs._connection._request["options"].get("observation") or ()
+        return [given] if isinstance(given, str) else list(given)
 
     def _rows(self, indices: int | Iterable[int] | None) -> list[int]:
         """The environments that ``indices`` mean."""

@@ -24,7 +24,8 @@ PATIENCE = 20.0
 def binary() -> str:
     """The path of the ``trocar`` program.
 
-    It is ``$TROCAR_BINARY``, else the one that ``pip install trocar-server`` put beside this
+    It is ``$TROCAR_BINARY`` (a relative path starts at the working directory that this process had
+    when it imported ``trocar``), else the one that ``pip install trocar-server`` put beside this
     Python, else the one on the PATH.
 
     Raises:
@@ -35,7 +36,7 @@ def binary() -> str:
         if shutil.which(named) is None:
             what = "there is no such program; name the trocar program, or unset the variable"
             raise LaunchError(f"${_trocar.BINARY} = {named!r}: {what}")
-        return named
+        return _absolute(named)
     schemes = [sysconfig.get_default_scheme(), sysconfig.get_preferred_scheme("user")]
     folders = [sysconfig.get_path("scripts", scheme) for scheme in schemes]
     found = shutil.which("trocar", path=os.pathsep.join(folders)) or shutil.which("trocar")
@@ -45,6 +46,27 @@ def binary() -> str:
             f"${_trocar.BINARY} where it is"
         )
     return found
+
+
+def _absolute(program: str) -> str:
+    """Absolute path of a program, if its name contains a folder; names on the PATH stay as given.
+
+    A relative path stays too, if the working directory was removed.
+    """
+    try:
+        return os.path.abspath(program) if os.sep in program else program
+    except FileNotFoundError:
+        return program
+
+
+def _fix_binary() -> None:
+    """Makes a relative ``$TROCAR_BINARY`` absolute, for later changes of the working directory.
+
+    Child processes inherit the absolute path.
+    """
+    named = os.environ.get(_trocar.BINARY)
+    if named:
+        os.environ[_trocar.BINARY] = _absolute(named)
 
 
 class Server:
@@ -167,9 +189,11 @@ class Server:
         deadline = time.monotonic() + PATIENCE
         while True:
             if process.poll() is not None:
-                raise LaunchError(
-                    f"server {self.name!r} ended with status {process.returncode}: {self._said()}"
-                )
+                # Popen reports 0 if SIGCHLD is ignored, since the kernel then keeps no status.
+                is_ignored = signal.getsignal(signal.SIGCHLD) is signal.SIG_IGN
+                unknown = "an unknown status, since this process ignores SIGCHLD"
+                status = unknown if is_ignored else f"status {process.returncode}"
+                raise LaunchError(f"server {self.name!r} ended with {status}: {self._said()}")
             try:
                 client = _trocar.Client.connect(self.name)
             except NoServer:
@@ -192,3 +216,6 @@ class Server:
         if self._log is not None:
             self._log.close()
             self._log = None
+
+
+_fix_binary()

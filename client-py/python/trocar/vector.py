@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from trocar import _trocar
 from trocar._arrays import integer, integers, is_single, refused, truth, truths
+from trocar._attributes import Attributes
 from trocar._connection import Connection, Episodes
 from trocar._goal import (
     PICTURES,
@@ -71,7 +72,10 @@ def nothing(spec: _trocar.TaskSpec) -> dict[str, NDArray[Any]]:
 
 
 class TrocarVectorEnv(
-    Described, GoalFunctions, gym.vector.VectorEnv[Observation, NDArray[np.float32], NDArray[Any]]
+    Attributes,
+    Described,
+    GoalFunctions,
+    gym.vector.VectorEnv[Observation, NDArray[np.float32], NDArray[Any]],
 ):
     """N environments of a task in one session of a server, stepped by one message.
 
@@ -129,6 +133,7 @@ class TrocarVectorEnv(
             ValueError: An option is unknown or not allowed; the message lists what is.
         """
         self.closed = True  # until there is something to close
+        self._notes = {}
         num_envs = integer(num_envs, "num_envs", InvalidEnvCount, "a positive integer")
         wanted = view(render_mode, render_options)
         self.autoreset_mode = _autoreset_mode(autoreset_mode)
@@ -350,30 +355,6 @@ class TrocarVectorEnv(
             return None
         return tuple(self._connection.render(env, mode) for env in range(self.num_envs))
 
-    def call(self, name: str, *args: Any, **kwargs: Any) -> tuple[Any, ...]:
-        """What the attribute ``name``, or a call of it, gives for each environment.
-
-        The environments of a session differ in nothing but their state, so it is asked for once.
-        """
-        if name == "render":
-            return self.render() or (None,) * self.num_envs
-        attribute = getattr(self, name)
-        result = attribute(*args, **kwargs) if callable(attribute) else attribute
-        return (result,) * self.num_envs
-
-    def get_attr(self, name: str) -> tuple[Any, ...]:
-        """The attribute ``name``, for each environment."""
-        return (getattr(self, name),) * self.num_envs
-
-    def set_attr(self, name: str, values: Any) -> None:
-        """Sets the attribute ``name`` of all environments, which share it, to one value."""
-        if isinstance(values, list | tuple):
-            if len(values) != self.num_envs or not all(_same(value, values[0]) for value in values):
-                allowed = "expected one value, since the environments of a session share it"
-                raise refuse(InvalidOption, name, values, allowed)
-            values = values[0]
-        setattr(self, name, values)
-
     def close_extras(self, **kwargs: Any) -> None:
         """Ends the session; ``close`` calls this once."""
         del kwargs
@@ -488,11 +469,6 @@ def _final(reply: _trocar.Reply, ended: NDArray[np.bool_]) -> dict[str, Any]:
         "final_info": _masked(ended, **infos),
         "_final_info": ended.copy(),
     }
-
-
-def _same(one: Any, other: Any) -> bool:
-    """Whether two values are equal; arrays, in all of their elements."""
-    return one is other or bool(np.array_equal(one, other))
 
 
 def _autoreset_mode(mode: AutoresetMode | str) -> AutoresetMode:

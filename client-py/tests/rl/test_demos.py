@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import os
+import signal
 import subprocess
 import sys
+import time
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -185,7 +189,7 @@ def test_an_interrupted_recording_goes_on_and_gives_the_same(
     assert again.kept == 7
     with pytest.raises(ValueError, match="there is a data set already"):
         record("NeedleReach-v0", name="broken-v0", **settings)
-    assert not list(tmp_path.rglob("*.partial"))
+    assert not list(tmp_path.rglob("*.partial*"))
 
 
 def test_lerobot_s_files_fit_together(tmp_path: Path, server: str) -> None:
@@ -236,14 +240,104 @@ def test_bad_input_is_refused_and_leaves_nothing(
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.parametrize("form", ["minari", "lerobot"])
-@pytest.mark.parametrize("kinds", [["state", "rgb"], ["state", "depth", "mask"], ["rgb"]])
-def test_pictures_are_refused_before_the_first_episode(
-    tmp_path: Path, server: str, form: str, kinds: list[str]
+@pytest.mark.filterwarnings("ignore:Package trocar is not installed:UserWarning")
+@pytest.mark.parametrize(
+    ("task", "options"),
+    [
+        (TASK, {"observation": ["state", "rgb"], "image_size": [40, 32]}),
+        (TASK, {"observation": ["state", "depth", "mask"], "image_size": [16, 16]}),
+        (TASK, {"observation": ["rgb", "points"], "image_size": [8, 8], "camera": "stereo"}),
+        ("ActiveTrack-v0", {"observation": ["rgb"], "image_size": [16, 16]}),
+    ],
+)
+def test_a_minari_data_set_has_the_pictures_of_the_environment(
+    task: str,
+    options: dict[str, Any],
+    tmp_path: Path,
+    server: str,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    with pytest.raises(ValueError, match=r"options\.observation = .*have no pictures"):
-        record(TASK, out=tmp_path, server=server, format=form, observation=kinds)
+    record(task, episodes=2, out=tmp_path, server=server, **options)
+    dataset = loaded(tmp_path, task, "expert-v0", monkeypatch)
+    told = json.loads(dataset.storage.metadata["trocar"])
+    env = dataset.recover_environment(server=server).unwrapped
+    assert dataset.observation_space == env.observation_space
+    assert told["images"]["kinds"] == env.task_spec.images.kinds
+    assert told["images"]["intrinsics"] == env.task_spec.images.intrinsics
+    for seed, episode in enumerate(dataset.iterate_episodes()):
+        seen, _ = env.reset(seed=seed)
+        for step, action in enumerate(episode.actions[:20]):
+            stored = {key: rows[step] for key, rows in episode.observations.items()}
+            assert dataset.observation_space.contains(stored)
+            assert [key for key in seen if (seen[key] != stored[key]).any()] == [], step
+            seen, *_ = env.step(action)
+        assert all(len(rows) == len(episode) + 1 for rows in episode.observations.values())
+    env.close()
+
+
+@pytest.mark.parametrize("kinds", [["state", "rgb"], ["state", "depth", "mask"], ["rgb"]])
+def test_lerobot_refuses_pictures_before_the_first_episode(
+    tmp_path: Path, server: str, kinds: list[str]
+) -> None:
+    with pytest.raises(ValueError, match=r"options\.observation = .*no pictures.*minari"):
+        record(TASK, out=tmp_path, server=server, format="lerobot", observation=kinds)
     assert list(tmp_path.iterdir()) == []
+
+
+def test_an_interrupted_recording_keeps_its_pictures(
+    tmp_path: Path, server: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    options: dict[str, Any] = {"observation": ["rgb"], "image_size": [8, 8]}
+    settings: dict[str, Any] = {"episodes": 3, "out": tmp_path, "server": server, **options}
+    record("NeedleReach-v0", name="straight-v0", **settings)
+    with pytest.raises(Stop):
+        record("NeedleReach-v0", name="broken-v0", envs=2, progress=stop_after(2), **settings)
+    record("NeedleReach-v0", name="broken-v0", resume=True, **settings)
+    straight = loaded(tmp_path, "NeedleReach-v0", "straight-v0", monkeypatch)
+    broken = loaded(tmp_path, "NeedleReach-v0", "broken-v0", monkeypatch)
+    assert broken.total_episodes == 3
+    for one, other in zip(straight.iterate_episodes(), broken.iterate_episodes(), strict=True):
+        assert (one.observations["rgb"] == other.observations["rgb"]).all()
+
+
+@pytest.mark.parametrize("form", ["minari", "lerobot"])
+def test_a_full_disk_ends_in_an_error_and_harms_no_other_data_set(
+    form: str, tmp_path: Path, server: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Allocation and writing fail as on a full disk."""
+
+    def full(*_: object, **__: object) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    settings: dict[str, Any] = {"episodes": 2, "out": tmp_path, "server": server, "format": form}
+    record("NeedleReach-v0", **(settings | {"format": "minari"}))
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "posix_fallocate", full)
+        patch.setattr(pq, "write_table", full)
+        with pytest.raises(OSError, match="No space left"):
+            record("NeedleReach-v0", name="full-v0", **settings)
+    monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert list(minari.list_local_datasets()) == ["trocar/NeedleReach-v0/expert-v0"]
+    names = {path.name for path in dataset_path(tmp_path, "NeedleReach-v0").parent.iterdir()}
+    assert names == {"expert-v0", ".full-v0.partial"}
+    assert record("NeedleReach-v0", name="full-v0", resume=True, **settings).kept == 2
+
+
+def test_a_folder_has_one_recorder_at_a_time(tmp_path: Path, server: str) -> None:
+    settings: dict[str, Any] = {"episodes": 4, "envs": 2, "out": tmp_path, "server": server}
+    refused = []
+
+    def meanwhile(done: int, kept: int) -> None:
+        del kept
+        if done == 2:
+            with pytest.raises(ValueError, match="another process records there"):
+                record("NeedleReach-v0", resume=True, **settings)
+            refused.append(done)
+
+    assert record("NeedleReach-v0", progress=meanwhile, **settings).kept == 4
+    assert refused == [2]
 
 
 def test_the_command_records_with_python(tmp_path: Path, server: str) -> None:
@@ -265,3 +359,38 @@ def test_a_missing_extra_is_named(
     monkeypatch.setitem(sys.modules, "h5py", None)
     with pytest.raises(ModuleNotFoundError, match=r"pip install trocar\[demos\]"):
         record(TASK, episodes=1, out=tmp_path, server=server)
+
+
+@pytest.mark.filterwarnings("ignore:Package trocar is not installed:UserWarning")
+@pytest.mark.parametrize("form", ["minari", "lerobot"])
+def test_a_task_of_another_server_is_recorded(
+    form: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    program = Path(trocar.binary()).resolve().parent / "examples" / "own_task"
+    if not program.exists():
+        pytest.skip("cargo build -p trocar-server --example own_task makes it")
+    name = f"own-demos-{os.getpid()}"
+    process = subprocess.Popen([program, name], stderr=subprocess.DEVNULL)
+    try:
+        deadline = time.monotonic() + 60.0
+        while not runs(name):
+            assert time.monotonic() < deadline
+            time.sleep(0.01)
+        flags = ["--task", "PushCube-v0", "--episodes", "2", "--server", name, "--format", form]
+        assert main([*flags, "--out", str(tmp_path)]) == 0
+        if form == "minari":
+            dataset = loaded(tmp_path, "PushCube-v0", "expert-v0", monkeypatch)
+            env = dataset.recover_environment()
+            assert env.observation_space == dataset.observation_space
+            env.close()
+    finally:
+        process.send_signal(signal.SIGINT)
+        assert process.wait() == 0
+
+
+def runs(server: str) -> bool:
+    try:
+        trocar.status(server)
+    except trocar.errors.NoServer:
+        return False
+    return True

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import subprocess
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
 import pytest
-from stable_baselines3 import DDPG, PPO, HerReplayBuffer
+from stable_baselines3 import A2C, DDPG, PPO, SAC, TD3, HerReplayBuffer
 from stable_baselines3.common.env_checker import check_env
 from stable_baselines3.common.env_util import make_vec_env
 from stable_baselines3.common.evaluation import evaluate_policy
@@ -16,12 +18,14 @@ from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import (
     DummyVecEnv,
     VecEnv,
+    VecFrameStack,
     VecMonitor,
     VecNormalize,
 )
 
 import trocar
-from trocar.sb3 import TrocarVecEnv, make_vec
+from trocar.dvrk.deploy import load
+from trocar.sb3 import TrocarVecEnv, export, make_vec
 
 TASK = "trocar/NeedleReach-v0"
 STEPS = 50
@@ -313,6 +317,103 @@ def test_sb3_finds_nothing_wrong_with_single_environments(task: str, server: str
         check_env(gym.make(f"trocar/{task}", server=server))
     envs = make_vec(f"trocar/{task}", 2, server=server)
     assert envs.has_attr("compute_reward") == (task == "NeedleReach-v0")
+    envs.close()
+
+
+def assert_acts_as(path: Path, model: Any, envs: VecEnv, observations: Any) -> None:
+    """Compares a file's actions with the model's, for unnormalised observations."""
+    policy = load(str(path))
+    normal = envs.normalize_obs(observations) if isinstance(envs, VecNormalize) else observations
+    expected, _ = model.predict(normal, deterministic=True)
+    for row in range(envs.num_envs):
+        if isinstance(observations, dict):
+            one: Any = {key: rows[row] for key, rows in observations.items()}
+        else:
+            one = observations[row]
+        assert policy(one, expected.shape[1]) == pytest.approx(expected[row], abs=1e-4)
+
+
+@pytest.mark.parametrize("is_normalised", [False, True])
+@pytest.mark.parametrize("algorithm", [SAC, TD3, DDPG, PPO, A2C])
+def test_an_exported_policy_acts_as_its_model(
+    algorithm: Any, is_normalised: bool, server: str, tmp_path: Path
+) -> None:
+    envs: VecEnv = make_vec(TASK, 2, server=server, tolerance=2.0)
+    settings: dict[str, Any] = {"learning_starts": 20}
+    if algorithm in (PPO, A2C):
+        settings = {"n_steps": 32}
+    elif not is_normalised:
+        # Hindsight replay draws from whole episodes.
+        settings = {"learning_starts": 110, "replay_buffer_class": HerReplayBuffer}
+    if is_normalised:
+        envs = VecNormalize(VecMonitor(envs))
+    settings["policy_kwargs"] = {"net_arch": [16]}
+    model = algorithm("MultiInputPolicy", envs, seed=0, **settings)
+    model.learn(130)
+    weights = {name: array.clone() for name, array in model.policy.state_dict().items()}
+    path = export(model, tmp_path / "new" / "policy.onnx")
+    assert all((weights[name] == array).all() for name, array in model.policy.state_dict().items())
+    policy = load(str(path))
+    assert policy.task == "NeedleReach-v0"
+    assert policy.options == {"tolerance": 2.0}
+    if isinstance(envs, VecNormalize):
+        envs.training = False
+    envs.reset()
+    for step in range(3):
+        observations = envs.step(actions_of(envs, step))[0]
+        original = envs.get_original_obs() if isinstance(envs, VecNormalize) else observations
+        assert_acts_as(path, model, envs, original)
+    envs.close()
+
+
+def test_an_exported_policy_runs_in_the_program(server: str, tmp_path: Path) -> None:
+    envs = make_vec_env(TASK, 2, env_kwargs={"server": server, "reward": "dense", "expert": True})
+    path = export(A2C("MultiInputPolicy", envs), tmp_path / "policy.onnx")
+    envs.close()
+    command = [trocar.binary(), "rollout", "--policy", str(path), "--episodes", "2", "--json"]
+    said = subprocess.run(command, capture_output=True, text=True, check=True)
+    assert "NeedleReach-v0" in said.stdout
+    assert load(str(path)).options == {"reward": "dense"}
+
+
+def test_a_policy_of_a_task_without_goals_is_exported(server: str, tmp_path: Path) -> None:
+    envs = make_vec("trocar/ActiveTrack-v0", 2, server=server)
+    model = A2C("MlpPolicy", envs)
+    path = export(model, tmp_path / "policy.onnx")
+    observations = envs.reset()
+    assert_acts_as(path, model, envs, observations)
+    envs.close()
+
+
+def test_policies_that_a_file_cannot_have_are_refused(server: str, tmp_path: Path) -> None:
+    path = tmp_path / "policy.onnx"
+    seen: dict[str, Any] = {"observation": ["state", "rgb"], "image_size": [36, 36]}
+    envs = make_vec(TASK, 1, server=server, **seen)
+    with pytest.raises(ValueError, match=r"observation = \['rgb'\].*no pictures"):
+        export(A2C("MultiInputPolicy", envs), path)
+    envs.close()
+    stacked = VecFrameStack(make_vec("trocar/ActiveTrack-v0", 1, server=server), 2)
+    with pytest.raises(ValueError, match="VecFrameStack"):
+        export(A2C("MlpPolicy", stacked), path)
+    stacked.close()
+    foreign = DummyVecEnv([lambda: gym.make("Pendulum-v1")])
+    with pytest.raises(ValueError, match=r"make_vec"):
+        export(A2C("MlpPolicy", foreign), path)
+    assert not path.exists()
+
+
+def test_hindsight_replay_over_relative_features_is_refused(server: str) -> None:
+    """Relative features contain the goal, which the replay buffer would not replace."""
+    envs = make_vec(TASK, num_envs=2, server=server, observation=("relative",))
+    model = DDPG(
+        "MultiInputPolicy",
+        envs,
+        learning_starts=100,
+        replay_buffer_class=HerReplayBuffer,
+        policy_kwargs={"net_arch": [16]},
+    )
+    with pytest.raises(ValueError, match=r"relative features contain the goal.*trocar\.rl"):
+        model.learn(200)
     envs.close()
 
 

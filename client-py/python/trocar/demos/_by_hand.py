@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from trocar.demos._episodes import Episode, Track
+from trocar.demos._episodes import Episode, Track, episode_of
 from trocar.dvrk.env import LiveEnv
 
 
@@ -35,7 +35,7 @@ def demonstrate(env: LiveEnv, seed: int) -> Episode:
             terminated=np.bool_(terminated),
             truncated=np.bool_(is_over and not terminated),
         )
-    return Episode(seed, **states.arrays(), **steps.arrays())
+    return episode_of({"seed": seed, **states.arrays(), **steps.arrays()})
 
 
 def _note(states: Track, observation: dict[str, NDArray[np.float32]] | NDArray[np.float32]) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trocar.vector import TrocarVectorEnv
+
+PICTURES = "pictures/"
+"""Prefix of the names of pictures among the arrays of an episode."""
+
+STATE = ("observation", "achieved_goal", "desired_goal")
+"""Arrays of an observation that are no pictures."""
 
 
 @dataclass(frozen=True)
@@ -20,7 +26,7 @@ class Episode:
     seed: int
     """Its seed; it is the first episode of that."""
     observation: NDArray[np.float32]
-    """(T + 1, observation dim)."""
+    """(T + 1, observation dim); no columns if the state is not observed."""
     achieved_goal: NDArray[np.float32]
     """(T + 1, goal dim); without goals, no columns."""
     desired_goal: NDArray[np.float32]
@@ -40,6 +46,8 @@ class Episode:
     """(T)."""
     truncated: NDArray[np.bool_]
     """(T)."""
+    pictures: dict[str, NDArray[Any]] = field(default_factory=dict)
+    """Pictures by the names of the observation, e.g. ``rgb`` or ``depth_left``: (T + 1, ...)."""
 
     def __len__(self) -> int:
         """Number of steps."""
@@ -80,7 +88,7 @@ def run(envs: TrocarVectorEnv, seeds: Sequence[int]) -> list[Episode]:
         goes_on = ~(terminated | truncated)
         running, actions = running[goes_on], actions[goes_on]
     return [
-        Episode(seed, **state.arrays(), **step.arrays())
+        episode_of({"seed": seed, **state.arrays(), **step.arrays()})
         for seed, state, step in zip(seeds, states, steps, strict=True)
     ]
 
@@ -105,34 +113,53 @@ def _note(
     """Notes the states that the environments are in; the expert's actions there."""
     seen = observations if isinstance(observations, dict) else {"observation": observations}
     nothing = np.zeros((len(running), 0), np.float32)
+    pictures = [name for name in seen if name not in STATE]
     actions, stages = (np.asarray(infos[name]) for name in ("expert_action", "expert_stage"))
     for row, env in enumerate(running):
         states[env].note(
-            observation=seen["observation"][row],
-            achieved_goal=seen.get("achieved_goal", nothing)[row],
-            desired_goal=seen.get("desired_goal", nothing)[row],
+            **{name: seen.get(name, nothing)[row] for name in STATE},
+            **{PICTURES + name: seen[name][row] for name in pictures},
             stage=stages[row],
         )
     return np.array(actions, np.float32)
 
 
-def save(path: Path, episodes: Sequence[Episode]) -> None:
-    """Writes episodes to a file, which is there only when it is whole."""
-    arrays = {
-        f"{number}/{field.name}": np.asarray(getattr(episode, field.name))
-        for number, episode in enumerate(episodes)
-        for field in fields(Episode)
+def episode_of(arrays: dict[str, Any]) -> Episode:
+    """An episode of arrays by name, with pictures among them."""
+    pictures = {
+        name.removeprefix(PICTURES): arrays[name] for name in arrays if name.startswith(PICTURES)
     }
+    own = {name: value for name, value in arrays.items() if not name.startswith(PICTURES)}
+    return Episode(**(own | {"seed": int(own["seed"])}), pictures=pictures)
+
+
+def save(path: Path, episodes: Sequence[Episode]) -> None:
+    """Writes episodes to a file, which is there only when it is whole.
+
+    Raises:
+        OSError: The file cannot be written; the error names it.
+    """
+    names = [each.name for each in fields(Episode) if each.name != "pictures"]
+    arrays: dict[str, Any] = {}
+    for number, episode in enumerate(episodes):
+        arrays |= {f"{number}/{name}": np.asarray(getattr(episode, name)) for name in names}
+        pictures = episode.pictures.items()
+        arrays |= {f"{number}/{PICTURES}{name}": picture for name, picture in pictures}
     beside = path.with_suffix(".tmp")
-    with beside.open("wb") as file:
-        np.savez(file, **arrays)  # type: ignore[arg-type]
-    beside.replace(path)
+    try:
+        with beside.open("wb") as file:
+            np.savez(file, **arrays)
+        beside.replace(path)
+    except OSError as error:
+        beside.unlink(missing_ok=True)
+        raise OSError(error.errno, error.strerror or str(error), str(path)) from error
 
 
 def load(path: Path) -> Iterator[Episode]:
     """The episodes that :func:`save` wrote."""
     with np.load(path) as arrays:
-        count = len({name.partition("/")[0] for name in arrays.files})
-        for number in range(count):
-            parts = {field.name: arrays[f"{number}/{field.name}"] for field in fields(Episode)}
-            yield Episode(**(parts | {"seed": int(parts["seed"])}))
+        names: dict[int, list[str]] = {}
+        for name in arrays.files:
+            names.setdefault(int(name.partition("/")[0]), []).append(name)
+        for number in sorted(names):
+            yield episode_of({name.partition("/")[2]: arrays[name] for name in names[number]})

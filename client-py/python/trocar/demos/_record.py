@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import fcntl
 import json
 import os
 import shutil
@@ -11,12 +13,15 @@ from pathlib import Path
 from typing import Any
 
 import trocar
+from trocar._connection import SERVER
+from trocar._extras import missing_extra
 from trocar._goal import check_seed
 from trocar._trocar import TaskSpec
 from trocar.demos._by_hand import demonstrate
 from trocar.demos._episodes import Episode, load, run, save
 from trocar.dvrk.env import LiveEnv
 from trocar.errors import InvalidRequest, refuse
+from trocar.registration import TASKS, register
 from trocar.vector import TrocarVectorEnv
 
 FORMATS = ("minari", "lerobot")
@@ -128,7 +133,7 @@ def record(
     target = dataset_path(out, task, name)
     if target.exists():
         return _finished(target, recipe, resume)
-    partial = target.with_name(f"{name}.partial")
+    partial = _hidden(target, "partial")
     if partial.exists() and not resume:
         allowed = "an interrupted recording is there; resume it, or remove it"
         raise refuse(InvalidRequest, "out", str(partial), allowed)
@@ -140,27 +145,57 @@ def record(
     else:
         source = _Expert(task, server, min(envs, episodes), options)
     try:
-        if source.env.task_spec.images is not None:
-            allowed = (
-                "data sets have no pictures: record without rgb, depth, mask and points, and draw "
-                "the pictures by playing the actions again from the seeds"
-            )
+        if format == "lerobot" and source.env.task_spec.images is not None:
+            allowed = "LeRobot's data sets have no pictures here; the format minari has"
             value = options.get("observation")
             raise refuse(InvalidRequest, "options.observation", value, allowed)
+        # A data set names the environment of a server's own task by its Gymnasium id.
+        register(task, server=None if task in TASKS else server or os.environ.get(SERVER))
         partial.mkdir(parents=True, exist_ok=True)
-        _claim(partial, recipe)
-        kept = _collect(source, partial, recipe, progress or _say_nothing)
-        whole = target.with_name(f"{name}.whole")
-        shutil.rmtree(whole, ignore_errors=True)
-        write(whole, recipe, source.env.task_spec, _episodes(partial))
+        with _locked(partial):
+            if target.exists():  # another process has finished it meanwhile
+                return _finished(target, recipe, resume)
+            _claim(partial, recipe)
+            kept = _collect(source, partial, recipe, progress or _say_nothing)
+            recording = Recording(task, episodes, kept, str(target))
+            whole = _hidden(target, "whole")
+            shutil.rmtree(whole, ignore_errors=True)
+            try:
+                write(whole, recipe, source.env.task_spec, _episodes(partial))
+                (whole / RECIPE).write_text(recipe.to_json())
+                (whole / "recording.json").write_text(json.dumps(asdict(recording)))
+                whole.rename(target)
+            except BaseException:
+                shutil.rmtree(whole, ignore_errors=True)
+                raise
+            shutil.rmtree(partial)
     finally:
         source.env.close()
-    recording = Recording(task, episodes, kept, str(target))
-    (whole / RECIPE).write_text(recipe.to_json())
-    (whole / "recording.json").write_text(json.dumps(asdict(recording)))
-    whole.rename(target)
-    shutil.rmtree(partial)
     return recording
+
+
+def _hidden(target: Path, kind: str) -> Path:
+    """Unfinished folder beside a data set; readers skip names that begin with a dot."""
+    return target.with_name(f".{target.name}.{kind}")
+
+
+@contextlib.contextmanager
+def _locked(folder: Path) -> Iterator[None]:
+    """Locks a folder against other processes; the lock ends with this process, too.
+
+    Raises:
+        InvalidRequest: Another process has the lock.
+    """
+    descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+    try:
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            allowed = "another process records there"
+            raise refuse(InvalidRequest, "out", str(folder), allowed) from None
+        yield
+    finally:
+        os.close(descriptor)
 
 
 class _Expert:
@@ -209,8 +244,7 @@ def _writer(format: str) -> Callable[[Path, Recipe, TaskSpec, Iterator[Episode]]
         else:
             from trocar.demos._lerobot import write
     except ImportError as error:
-        text = f"{error}; demonstrations need the extra: pip install trocar[demos]"
-        raise ModuleNotFoundError(text) from error
+        raise missing_extra(error, "demos", "trocar demos") from error
     return write
 
 

@@ -77,6 +77,11 @@ def recording(text: str) -> Path:
     return path.absolute()
 
 
+def is_script(path: Path) -> bool:
+    """True for the paths that :func:`runpy.run_path` runs."""
+    return (path / "__main__.py").is_file() if path.is_dir() else path.exists()
+
+
 def terminate(number: int, _: object) -> None:
     """Ends the script on a signal, with the shell's exit status for that signal."""
     raise SystemExit(128 + number)
@@ -142,6 +147,11 @@ def main() -> None:
         if not given.quiet:
             print(f"{arm}: {words}", file=sys.stderr)
 
+    if not is_script(Path(given.script)):
+        sys.exit(
+            f"trocar.dvrk: script = {given.script!r}: expected a Python file, or a folder with "
+            "__main__.py"
+        )
     try:
         world = dvrk.World(
             given.task,

@@ -15,12 +15,13 @@ and draws transitions with hindsight goals, :class:`Inputs` is what networks see
 try:
     import matplotlib  # noqa: F401
     import minari  # noqa: F401
+    import onnx  # noqa: F401
     import stable_baselines3  # noqa: F401
     import tensorboard  # noqa: F401
 except ImportError as error:
-    raise ModuleNotFoundError(
-        f"{error}; training needs the extra: pip install trocar[rl]"
-    ) from error
+    from trocar._extras import missing_extra
+
+    raise missing_extra(error, "rl", "training", command="trocar.rl") from error
 
 from trocar.rl.algorithms import GoalDDPG, NormalisedDDPG, NormalisedPPO
 from trocar.rl.config import ALGORITHMS, BEST, Config, load

@@ -26,7 +26,7 @@ from trocar.dvrk.deploy.limits import Limits
 from trocar.dvrk.deploy.observation import Layout
 from trocar.dvrk.deploy.paired import difference, played
 from trocar.dvrk.deploy.pictures import Colour
-from trocar.dvrk.deploy.plot import plot
+from trocar.dvrk.deploy.plot import check_matplotlib, plot
 from trocar.dvrk.deploy.runner import Episode, Runner
 from trocar.dvrk.deploy.sources import Function, Pictures, Source, Topics
 from trocar.dvrk.deploy.task import Task
@@ -264,6 +264,8 @@ def made(given: argparse.Namespace, told: Any) -> Runner:
         raise refuse(InvalidOption, "--task", None, "the policy names no task, so this must")
     if given.plot and given.log is None:
         raise refuse(InvalidOption, "--plot", True, "it draws the files of --log FOLDER")
+    if given.plot:
+        check_matplotlib()
     if given.log is not None:
         check_folder(given.log)
     chosen = {flag.replace("-", "_"): getattr(given, flag.replace("-", "_")) for flag, *_ in LIMITS}

@@ -11,17 +11,28 @@ import numpy as np
 from trocar.errors import Unsupported
 
 
+def check_matplotlib() -> None:
+    """Checks that :func:`plot` can draw.
+
+    Raises:
+        trocar.errors.Unsupported: ``matplotlib`` is missing.
+    """
+    try:
+        import matplotlib  # noqa: F401
+    except ImportError as error:
+        raise Unsupported("--plot needs matplotlib: pip install trocar[deploy]") from error
+
+
 def plot(path: Path) -> Path:
     """Draws an episode's file, as a PNG beside it.
 
     Raises:
         trocar.errors.Unsupported: ``matplotlib`` is missing.
     """
-    try:
-        from matplotlib.backends.backend_agg import FigureCanvasAgg
-        from matplotlib.figure import Figure
-    except ImportError as error:
-        raise Unsupported("--plot needs matplotlib: pip install trocar[deploy]") from error
+    check_matplotlib()
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
     with np.load(path) as file:
         run = {name: file[name] for name in file.files}
     about = json.loads(str(run["about"]))
