@@ -127,12 +127,16 @@ bits: ## server/tests/fixtures/bits.bin: records its episodes anew; only when ph
 # ---- Checking ----
 
 .PHONY: test
-test: lint ## * all that CI runs: lints, Rust, Python, wheels; test-faults where strace is
+test: stage-lint ## * all that CI runs: lints, Rust, Python, wheels; test-faults where strace is
 	@# Cargo builds the bindings once the first tests run, which wait most of the time: until then it waits for their build.
-	@$(MAKE) test-rust & tests=$$!; nice $(MAKE) bindings || failed=yes; wait $$tests && [ -z "$${failed:-}" ]
-	@$(MAKE) test-loom test-python
+	@$(MAKE) stage-test-rust & tests=$$!; nice $(MAKE) stage-bindings || failed=yes; wait $$tests && [ -z "$${failed:-}" ]
+	@$(MAKE) stage-test-loom stage-test-python
 	@command -v strace > /dev/null || echo 'left out: test-faults needs strace (apt install strace)'
-	@$(MAKE) --jobs=2 --output-sync=target test-wheels $$(command -v strace > /dev/null && echo test-faults)
+	@$(MAKE) --jobs=2 --output-sync=target stage-test-wheels $$(command -v strace > /dev/null && echo stage-test-faults)
+
+# Another target, whose seconds are appended to the file $STAGE_TIMES, if that variable is set.
+stage-%:
+	@tests/stage $* $(MAKE) $*
 
 # Leaves out what takes minutes: experts over many seeds, adversaries, killed processes, packages.
 FAST_SKIP := $(foreach name,bits:: experts:: robustness:: render:: grasp:: nothing_explodes every_option,--skip $(name))
