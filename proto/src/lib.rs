@@ -17,6 +17,7 @@
 //! | [`relative`] | features as pure functions of state and goals |
 //! | [`stage`] | what a scripted expert is about |
 //! | [`placement`] | how an episode shall begin |
+//! | [`similar`] | suggestions for mistyped names |
 //! | [`seed`] | which numbers are seeds |
 //! | [`part`] | bytes that outlive a process: snapshots and recordings consist of them |
 //! | [`snapshot`] | the state of an environment as bytes |
@@ -52,6 +53,7 @@ pub mod part;
 pub mod placement;
 pub mod relative;
 pub mod seed;
+pub mod similar;
 pub mod snapshot;
 pub mod spec;
 pub mod stage;

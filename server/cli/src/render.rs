@@ -15,7 +15,7 @@ use trocar_server::Env;
 use trocar_server::Registry;
 
 use crate::exit::Exit;
-use crate::options::{self, Assignment};
+use crate::options::{self, Assignment, OptionFlags};
 use crate::policy::Chooser;
 use image::Image;
 use look::{Format, GAP, Look};
@@ -56,9 +56,8 @@ pub(crate) struct Render {
     /// In what light: bench, or cavity (from a lamp at the endoscope); the same as --option look=WORD
     #[arg(long = "look", value_name = "WORD")]
     light: Option<String>,
-    /// Any option of the task; for a row of a table NAME.ROW=LOW,HIGH. May be repeated
-    #[arg(long = "option", value_name = "NAME=VALUE", value_parser = Assignment::parse)]
-    options: Vec<Assignment>,
+    #[command(flatten)]
+    options: OptionFlags,
     /// The file: .png is a contact sheet, .gif moves
     #[arg(long, value_name = "FILE", required_unless_present = "each")]
     out: Option<PathBuf>,
@@ -76,7 +75,7 @@ impl Render {
         let specs: Result<Vec<_>, _> =
             ids.iter().map(|id| registry.spec(id, &Options::new())).collect();
         let light = self.light.iter().map(|word| Assignment::new("look", word));
-        let given = light.chain(self.options.iter().cloned()).collect();
+        let given = light.chain(self.options.assignments()).collect();
         let tasks = options::for_tasks(&policy.with_options(given)?, &specs?)?;
         let (path, format) = match (&self.each, &self.out) {
             (Some(folder), _) => return self.each(&registry, &policy, &tasks, folder),
