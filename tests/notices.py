@@ -55,10 +55,9 @@ class Work(NamedTuple):
 
 def metadata() -> dict[str, Any]:
     """The packages of the workspace and of its dependencies."""
-    host = re.search(r"^host: (\S+)$", output("rustc", "-vV"), re.MULTILINE)
-    assert host, "rustc names its host"
+    platform = output("rustc", "--print", "host-tuple").strip()
     command = ("cargo", "metadata", "--locked", "--format-version=1", "--filter-platform")
-    found: dict[str, Any] = json.loads(output(*command, host[1]))
+    found: dict[str, Any] = json.loads(output(*command, platform))
     return found
 
 
