@@ -8,8 +8,9 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from trocar.errors import InvalidOption, NoServer, TrocarError, refuse
-from trocar.registration import TASKS
+from trocar._assignments import SYNTAX, assignments
+from trocar.errors import NoServer, TrocarError
+from trocar.registration import TASKS, register_all
 from trocar.rl.config import ALGORITHMS, load
 
 EPILOG = """\
@@ -21,6 +22,9 @@ def main(arguments: list[str] | None = None) -> int:
     """Runs a command and returns its exit code."""
     given = _parser().parse_args(arguments)
     try:
+        if getattr(given, "server", None):
+            # A server may have tasks of its own.
+            register_all(given.server)
         given.run(given)
     except KeyboardInterrupt:
         print("interrupted; --resume goes on", file=sys.stderr)
@@ -58,7 +62,7 @@ def _parser() -> argparse.ArgumentParser:
     evaluate.add_argument("--episodes", type=int, default=200)
     evaluate.add_argument("--seed", type=int, help="of the first episode")
     evaluate.add_argument("--envs", type=int, default=50)
-    evaluate.add_argument("--server")
+    evaluate.add_argument("--server", help="name of a running server; one of its own by default")
     evaluate.add_argument(
         "--conditions", action="store_true", help="also late, disturbed, and at twice the rate"
     )
@@ -118,31 +122,17 @@ def _options(parser: argparse.ArgumentParser) -> None:
         action="append",
         default=[],
         metavar="NAME=VALUE",
-        help="an option of the task, e.g. grasp=approx; may be repeated",
+        help=f"an option of the task: {SYNTAX}; may be repeated",
     )
-
-
-def _values(assignments: list[str]) -> dict[str, Any]:
-    """Values by name; what is no JSON is a word."""
-    values: dict[str, Any] = {}
-    for assignment in assignments:
-        name, equals, text = assignment.partition("=")
-        if not equals:
-            raise refuse(InvalidOption, "assignment", assignment, "expected NAME=VALUE")
-        try:
-            values[name] = json.loads(text)
-        except ValueError:
-            values[name] = text
-    return values
 
 
 def _config(given: argparse.Namespace) -> Any:
     config = load(given.task, given.algo)
-    changes = _values(given.set)
+    changes = assignments(given.set, "--set")
     for name in ("epochs", "envs"):
         if getattr(given, name, None) is not None:
             changes[name] = getattr(given, name)
-    options = config.task_options | _values(given.option)
+    options = config.task_options | assignments(given.option)
     return config.but(**changes, task_options=options)
 
 
@@ -172,7 +162,7 @@ def _evaluate(given: argparse.Namespace) -> None:
     torch.set_num_threads(1)
     run = Run(given.run_folder)
     config, policy = run.config, run.policy(given.policy)
-    options = _values(given.option)
+    options = assignments(given.option)
     tested: dict[str | None, Any] = {None if options else AS_TRAINED: options}
     if given.conditions:
         tested.update(conditions(config))
