@@ -447,6 +447,10 @@ def test_the_command_line_says_what_is_wrong(
     told = json.loads(capsys.readouterr().out)
     assert told["task_options"] == {"domain": {"latency_seconds": [0, 0.06], "preset": "dvrk"}}
     assert told["inputs"] == ["observation", "desired_goal"]
+    for command in (["train", *flags], ["curves", str(tmp_path)], ["export", str(tmp_path)]):
+        with pytest.raises(SystemExit, match="2"):
+            main([*command, "--out", "/proc/out"])
+        assert "/proc/out" in capsys.readouterr().err
 
 
 def test_tasks_of_a_server_have_configurations(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from trocar._assignments import SYNTAX, assignments
+from trocar._paths import output_file, output_folder
 from trocar.errors import NoServer, TrocarError
 from trocar.registration import TASKS, register_all
 from trocar.rl.config import ALGORITHMS, load
@@ -46,7 +47,7 @@ def _parser() -> argparse.ArgumentParser:
     train.set_defaults(run=_train)
     _chosen(train)
     train.add_argument("--seed", type=int, default=0)
-    train.add_argument("--out", default="runs", help="folder of runs")
+    train.add_argument("--out", type=output_folder, default="runs", help="folder of runs")
     train.add_argument("--resume", action="store_true", help="go on with a run that is there")
     train.add_argument("--demos", help="folder of a Minari data set, instead of the expert")
     train.add_argument("--epochs", type=int)
@@ -75,19 +76,21 @@ def _parser() -> argparse.ArgumentParser:
     curves = commands.add_parser("curves", help="the figure of all runs in a folder")
     curves.set_defaults(run=_curves)
     curves.add_argument("runs", type=Path)
-    curves.add_argument("--out", type=Path, default=Path("curves.png"), help=".png; .csv beside it")
+    curves.add_argument(
+        "--out", type=output_file, default="curves.png", help=".png; .csv beside it"
+    )
 
     report = commands.add_parser("report", help="a page with tables and figures of all runs")
     report.set_defaults(run=_report)
     report.add_argument("runs", type=Path)
-    report.add_argument("--out", type=Path, default=Path("RESULTS.md"))
-    report.add_argument("--pictures", type=Path, default=Path(), help="folder of the figures")
+    report.add_argument("--out", type=output_file, default="RESULTS.md")
+    report.add_argument("--pictures", type=output_folder, default=".", help="folder of the figures")
 
     export = commands.add_parser("export", help="a policy as ONNX, for trocar rollout")
     export.set_defaults(run=_export)
     export.add_argument("run_folder", type=Path, metavar="RUN")
     export.add_argument("--policy", choices=("best", "last"), default="best")
-    export.add_argument("--out", type=Path, default=Path("policy.onnx"))
+    export.add_argument("--out", type=output_file, default="policy.onnx")
     export.add_argument(
         "--card", action="store_true", help="write into the file how well it does, once evaluated"
     )
@@ -95,7 +98,7 @@ def _parser() -> argparse.ArgumentParser:
     best = commands.add_parser("best", help="each task's best policy as ONNX, and their page")
     best.set_defaults(run=_best)
     best.add_argument("runs", type=Path, help="folder of runs, which were evaluated")
-    best.add_argument("--out", type=Path, default=Path("policies"), help="folder of the files")
+    best.add_argument("--out", type=output_folder, default="policies", help="folder of the files")
 
     configs = commands.add_parser("configs", help="show a configuration, as JSON")
     configs.set_defaults(run=lambda given: print(_config(given).to_json()))

@@ -192,6 +192,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             raise refuse(InvalidOption, "--at, --apart", (given.at, given.apart), "3 and 2 numbers")
         if not 0.0 < given.size < 0.8 * min(given.apart):
             raise refuse(InvalidOption, "--size", given.size, "above 0, below 0.8 of --apart")
+        _opencv()  # missing packages are reported before a file is written
         file = given.out.with_suffix(".json")
         file.write_text(json.dumps(sheet(np.array(given.at), given.apart, given.size), indent=1))
         paper = drawn(Board.read(file).tags)
