@@ -29,7 +29,7 @@ PLOT_VENV := .venv-plot
 WHEEL_TESTS := $(addprefix tests/test_,$(addsuffix .py,conventions env front_door goals package reset_options seeds vector)) \
 	-k "not stubs" -m "not grasp and not tissue"
 # Python files under ruff, as seen from client-py/, whose pyproject.toml has the rules.
-PYTHON_CODE := . ../tests/prose.py ../tests/vocabulary.py ../tests/documents.py ../server/cli/src/demo ../server/cli/src/bench ../server/cli/src/load ../server/view/tests ../tests/ros2 ../tests/mujoco_twin
+PYTHON_CODE := . ../tests/prose.py ../tests/vocabulary.py ../tests/documents.py ../tests/notices.py ../server/cli/src/demo ../server/cli/src/bench ../server/cli/src/load ../server/view/tests ../tests/ros2 ../tests/mujoco_twin
 # What people train with, each with the Gymnasium that it needs.
 RL_BIN := $(abspath .venv-rl/bin)
 MUJOCO_BIN := $(abspath .venv-mujoco/bin)
@@ -110,8 +110,10 @@ viewer: ## server/view/page.html: builds the page of the live viewer anew; needs
 .PHONY: wheels
 wheels: $(VENV)/ready ## * dist/: the wheels trocar (client) and trocar-server (the program)
 	rm -rf dist
+	$(PYTHON) tests/notices.py write
 	$(BIN)/maturin build --release --locked --manifest-path client-py/Cargo.toml --out dist
 	$(BIN)/maturin build --release --locked --manifest-path server/cli/Cargo.toml --out dist
+	$(PYTHON) tests/notices.py check dist/*.whl
 
 # SEEDS=0..40: which episodes; the table in server/GRASPING.md is that of its own seeds.
 .PHONY: experts-table
@@ -127,12 +129,16 @@ bits: ## server/tests/fixtures/bits.bin: records its episodes anew; only when ph
 # ---- Checking ----
 
 .PHONY: test
-test: lint ## * all that CI runs: lints, Rust, Python, wheels; test-faults where strace is
+test: stage-lint ## * all that CI runs: lints, Rust, Python, wheels; test-faults where strace is
 	@# Cargo builds the bindings once the first tests run, which wait most of the time: until then it waits for their build.
-	@$(MAKE) test-rust & tests=$$!; nice $(MAKE) bindings || failed=yes; wait $$tests && [ -z "$${failed:-}" ]
-	@$(MAKE) test-loom test-python
+	@$(MAKE) stage-test-rust & tests=$$!; nice $(MAKE) stage-bindings || failed=yes; wait $$tests && [ -z "$${failed:-}" ]
+	@$(MAKE) stage-test-loom stage-test-python
 	@command -v strace > /dev/null || echo 'left out: test-faults needs strace (apt install strace)'
-	@$(MAKE) --jobs=2 --output-sync=target test-wheels $$(command -v strace > /dev/null && echo test-faults)
+	@$(MAKE) --jobs=2 --output-sync=target stage-test-wheels $$(command -v strace > /dev/null && echo stage-test-faults)
+
+# Another target, whose seconds are appended to the file $STAGE_TIMES, if that variable is set.
+stage-%:
+	@tests/stage $* $(MAKE) $*
 
 # Leaves out what takes minutes: experts over many seeds, adversaries, killed processes, packages.
 FAST_SKIP := $(foreach name,bits:: experts:: robustness:: render:: grasp:: nothing_explodes every_option,--skip $(name))
@@ -185,7 +191,7 @@ test-faults: ## calls of the kernel fail, one after the other, by strace, which 
 
 .PHONY: test-python
 test-python: develop ## * Python with the newest Gymnasium: types, stubs, tests
-	cd client-py && $(BIN)/mypy && $(BIN)/mypy ../tests/prose.py ../tests/vocabulary.py ../tests/documents.py && for worker in demo bench load; do $(BIN)/mypy ../server/cli/src/$$worker/worker.py; done
+	cd client-py && $(BIN)/mypy && $(BIN)/mypy ../tests/prose.py ../tests/vocabulary.py ../tests/documents.py ../tests/notices.py && for worker in demo bench load; do $(BIN)/mypy ../server/cli/src/$$worker/worker.py; done
 	cd client-py && MYPYPATH=python:../tests $(BIN)/mypy ../tests/mujoco_twin/*.py
 	cd client-py && TROCAR_BINARY=$(TARGET)/debug/trocar $(BIN)/python -m pytest -n auto --maxprocesses 4 --dist worksteal
 	TROCAR_PYTHON=$(BIN)/python $(CARGO) test $(RUST) --test load python_clients
@@ -193,8 +199,10 @@ test-python: develop ## * Python with the newest Gymnasium: types, stubs, tests
 .PHONY: test-wheels
 test-wheels: $(VENV)/ready ## * both wheels with the oldest Gymnasium, without Rust on the PATH
 	rm -rf $(TARGET)/test-wheels
+	$(PYTHON) tests/notices.py write
 	$(BIN)/maturin build --profile dev --locked --manifest-path client-py/Cargo.toml --out $(TARGET)/test-wheels
 	$(BIN)/maturin build --profile dev --locked --manifest-path server/cli/Cargo.toml --out $(TARGET)/test-wheels
+	$(PYTHON) tests/notices.py check $(TARGET)/test-wheels/*.whl
 	$(PYTHON) -m venv --clear $(WHEEL_VENV)
 	$(WHEEL_BIN)/python $(PIP_INSTALL) --require-hashes -r client-py/requirements-oldest.lock
 	$(WHEEL_BIN)/python $(PIP_INSTALL) --no-index --find-links $(TARGET)/test-wheels trocar

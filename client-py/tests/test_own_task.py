@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import signal
 import subprocess
@@ -17,6 +18,7 @@ from test_snapshots import go_on
 
 import trocar
 from trocar.errors import NoServer, UnknownTask
+from trocar.registration import schedule
 
 PROGRAM = Path(trocar.binary()).resolve().parent / "examples" / "own_task"
 
@@ -82,3 +84,27 @@ def test_it_can_be_registered_without_a_server(own: str) -> None:
     observation, _ = env.reset(seed=3)
     assert np.allclose(observation["observation"][-3:], observation["achieved_goal"])
     env.close()
+
+
+def test_commands_know_it_under_its_server(own: str, tmp_path: Path) -> None:
+    """Commands list, draw and refuse tasks as those of the server."""
+
+    def run(*arguments: str) -> subprocess.CompletedProcess[str]:
+        command = [trocar.binary(), *arguments, "--server", own]
+        return subprocess.run(command, capture_output=True, text=True, check=False)
+
+    rows = [json.loads(line) for line in run("tasks", "--json").stdout.splitlines()]
+    assert [row["max_steps"] for row in rows if row["id"] == "PushCube-v0"] == [50]
+    assert "reward" in run("tasks", "PushCube-v0").stdout
+    assert "did you mean" in run("tasks", "PushCub").stderr
+    for name, more in (("push.png", ()), ("push.gif", ("--seconds", "1"))):
+        path = tmp_path / name
+        flags = ("--task", "PushCube-v0", "--size", "64x48", "--moments", "3", "--out", str(path))
+        done = run("render", *flags, *more)
+        assert done.returncode == 0, done.stderr
+        assert path.stat().st_size > 500
+    # The cards of policies, and what else depends on the number of steps, know it too.
+    trocar.register_all(server=own)
+    assert schedule("PushCube-v0") == (50, 5.0)
+    with pytest.raises(UnknownTask, match="did you mean 'PushCube-v0'"):
+        schedule("PushCubes-v0")

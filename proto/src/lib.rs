@@ -18,6 +18,7 @@
 //! | [`scaled`] | scaling of state and goals by their ranges |
 //! | [`stage`] | what a scripted expert is about |
 //! | [`placement`] | how an episode shall begin |
+//! | [`similar`] | suggestions for mistyped names |
 //! | [`seed`] | which numbers are seeds |
 //! | [`part`] | bytes that outlive a process: snapshots and recordings consist of them |
 //! | [`snapshot`] | the state of an environment as bytes |
@@ -54,6 +55,7 @@ pub mod placement;
 pub mod relative;
 pub mod scaled;
 pub mod seed;
+pub mod similar;
 pub mod snapshot;
 pub mod spec;
 pub mod stage;

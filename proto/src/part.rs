@@ -25,6 +25,8 @@ pub enum Kind {
 }
 
 impl Kind {
+    const ALL: [Self; 2] = [Self::Snapshot, Self::Live];
+
     /// First bytes of a part.
     pub fn magic(self) -> [u8; 8] {
         match self {
@@ -35,7 +37,7 @@ impl Kind {
 
     /// The kind of a part that [`split`] gave.
     pub fn of(part: &[u8]) -> Option<Self> {
-        [Self::Snapshot, Self::Live].into_iter().find(|kind| part.starts_with(&kind.magic()))
+        Self::ALL.into_iter().find(|kind| part.starts_with(&kind.magic()))
     }
 
     /// What refusals call it.
@@ -105,6 +107,38 @@ pub fn split(bytes: &[u8]) -> Result<Vec<&[u8]>, Rejection> {
     Ok(parts)
 }
 
+/// The whole parts of a file that may be cut off, and the number of bytes after the last whole part. At least one part is
+/// whole; bytes that begin no part are refused.
+pub fn split_whole(bytes: &[u8]) -> Result<(Vec<&[u8]>, usize), Rejection> {
+    let mut parts = vec![];
+    let mut rest = bytes;
+    while parts.is_empty() || !rest.is_empty() {
+        let head = match front(rest) {
+            Ok((head, _)) => head,
+            Err(_) if !parts.is_empty() && is_cut_off(rest) => break,
+            Err(refusal) => return Err(refusal),
+        };
+        let (part, later) = rest.split_at(HEAD + head.length);
+        parts.push(part);
+        rest = later;
+    }
+    Ok((parts, rest.len()))
+}
+
+/// True if `bytes` are the beginning of a part, and not all of that part.
+fn is_cut_off(bytes: &[u8]) -> bool {
+    let mut head = [0; HEAD];
+    let given = bytes.len().min(HEAD);
+    head[..given].copy_from_slice(&bytes[..given]);
+    let begins = |kind: Kind| {
+        let fixed = [&kind.magic()[..], &crate::PROTOCOL_VERSION.to_le_bytes()].concat();
+        bytes.iter().zip(&fixed).all(|(byte, expected)| byte == expected)
+    };
+    let length = u32::from_le_bytes([head[12], head[13], head[14], head[15]]) as usize;
+    Kind::ALL.into_iter().any(begins)
+        && (given < HEAD || bytes.len() < HEAD + length && HEAD + length <= MAX_PART)
+}
+
 /// A number that stands for all of `bytes` (FNV-1a, 64 bits).
 pub fn fingerprint(bytes: impl IntoIterator<Item = u8>) -> u64 {
     bytes.into_iter().fold(0xcbf2_9ce4_8422_2325, |sum, byte| {
@@ -154,4 +188,34 @@ fn front(bytes: &[u8]) -> Result<(Head, &[u8]), Rejection> {
 
 fn refuse(name: &str, part: &str, value: &dyn std::fmt::Display, allowed: String) -> Rejection {
     Rejection::new(Code::InvalidSnapshot, format!("{name}.{part}"), value, allowed)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_file_is_cut_off_anywhere() {
+        let part = |number: u32| seal(Kind::Snapshot, &number, String::new).unwrap();
+        let parts = [part(1), part(2), part(3)];
+        let bytes = parts.concat();
+        let length = parts[0].len();
+        for end in 0..=bytes.len() {
+            match split_whole(&bytes[..end]) {
+                Ok((whole, lost)) => {
+                    assert_eq!((whole.len(), lost), (end / length, end % length));
+                    assert_eq!(split(&bytes[..end]).is_ok(), lost == 0);
+                }
+                Err(_) => assert!(end < length),
+            }
+        }
+        for at in [0, 8, 12] {
+            let mut changed = bytes.clone();
+            changed[2 * length + at] ^= 0x80;
+            // A greater length looks like the end of the file.
+            let is_refused = split_whole(&changed).is_err();
+            assert_eq!(is_refused, at != 12, "{at}");
+        }
+        assert!(split_whole(&[&bytes[..], b"garbage"].concat()).is_err());
+    }
 }

@@ -8,6 +8,7 @@ use serde::{Deserialize, Serialize};
 use crate::error::{Code, Rejection};
 use crate::goal::{Reward, SuccessRule};
 use crate::relative::Relative;
+use crate::similar;
 
 /// Stands for the preset of an option's rows where people write one among the rows.
 pub const PRESET: &str = "preset";
@@ -218,7 +219,7 @@ impl OptionSpec {
         let (Allowed::Table(rows), OptionValue::Table(table) | OptionValue::Preset(_, table)) =
             (&self.allowed, value)
         else {
-            let allowed = format!("allowed is {}", self.allowed);
+            let allowed = format!("allowed is {}{}", self.allowed, self.allowed.hint(value));
             return Rejection::new(Code::InvalidOption, field, value, allowed);
         };
         let known = |name: &str| rows.iter().find(|row| row.name == name);
@@ -230,7 +231,8 @@ impl OptionSpec {
             format!("allowed is {row}")
         } else {
             let names: Vec<_> = rows.iter().map(|row| row.name.as_str()).collect();
-            format!("unknown row; this task knows {names:?}")
+            let hint = similar::hint(name, names.iter().copied());
+            format!("unknown row{hint}; this task knows {names:?}")
         };
         let given = OptionValue::Numbers(numbers.clone());
         Rejection::new(Code::InvalidOption, format!("{field}.{name}"), given, allowed)
@@ -390,6 +392,18 @@ impl Allowed {
         }
     }
 
+    /// A suggestion for the first word of `value` that is not allowed; empty without one.
+    fn hint(&self, value: &OptionValue) -> String {
+        let (Self::OneOf(words) | Self::SomeOf(words)) = self else { return String::new() };
+        let chosen = match value {
+            OptionValue::Text(word) => std::slice::from_ref(word),
+            OptionValue::Texts(chosen) => chosen,
+            _ => return String::new(),
+        };
+        let wrong = chosen.iter().find(|word| !words.contains(word));
+        wrong.map_or(String::new(), |word| similar::hint(word, words.iter().map(String::as_str)))
+    }
+
     /// The value with the rows of its preset, if it has one.
     fn expanded(&self, option: &str, value: &OptionValue) -> Result<OptionValue, Rejection> {
         let (Self::Table(rows), OptionValue::Preset(preset, own)) = (self, value) else {
@@ -401,7 +415,10 @@ impl Allowed {
                 Code::InvalidOption,
                 format!("options.{option}.preset"),
                 format!("{preset:?}"),
-                format!("allowed is one of {presets:?}"),
+                format!(
+                    "allowed is one of {presets:?}{}",
+                    similar::hint(preset, presets.iter().copied())
+                ),
             ));
         }
         let given = |row: &RowSpec| Some((row.name.clone(), row.presets.get(preset)?.clone()));
@@ -409,6 +426,14 @@ impl Allowed {
         table.extend(own.clone());
         Ok(OptionValue::Table(table))
     }
+}
+
+/// Refusal of the option `name`, which is none of the `known` options.
+pub fn unknown(name: &str, value: impl fmt::Display, known: &[OptionSpec]) -> Rejection {
+    let names: Vec<_> = known.iter().map(|option| option.name.as_str()).collect();
+    let hint = similar::hint(name, names.iter().copied());
+    let allowed = format!("unknown option{hint}; this task knows {names:?}");
+    Rejection::new(Code::UnknownOption, format!("options.{name}"), value, allowed)
 }
 
 /// The presets that give any of `rows`.
@@ -443,13 +468,7 @@ impl Options {
     pub fn resolve(&self, allowed: &[OptionSpec]) -> Result<Options, Rejection> {
         for (name, value) in &self.0 {
             let Some(option) = allowed.iter().find(|option| option.name == *name) else {
-                let names: Vec<_> = allowed.iter().map(|option| option.name.as_str()).collect();
-                return Err(Rejection::new(
-                    Code::UnknownOption,
-                    format!("options.{name}"),
-                    value,
-                    format!("unknown option; this task knows {names:?}"),
-                ));
+                return Err(unknown(name, value, allowed));
             };
             if !option.allowed.accepts(value) {
                 return Err(option.refuse(value));
@@ -522,6 +541,23 @@ mod tests {
         assert_eq!(options.text("reward"), Some("dense"));
         assert_eq!(options.number("grasp_distance"), Some(0.002));
         assert_eq!(options.row("domain", "friction"), None);
+    }
+
+    #[test]
+    fn mistyped_names_and_values_get_a_suggestion() {
+        let refused = |options: Options| options.resolve(&allowed()).unwrap_err().to_string();
+        let table = |row: &str| OptionValue::Table([(row.to_string(), vec![0.0, 1.0])].into());
+        let preset = OptionValue::Preset("slipery".into(), BTreeMap::new());
+        for (options, suggestion) in [
+            (Options::new().with_text("rewards", "dense"), "reward"),
+            (Options::new().with_text("reward", "dence"), "dense"),
+            (Options::new().with("domain", table("fricton")), "friction"),
+            (Options::new().with("domain", preset), "slippery"),
+        ] {
+            let text = refused(options);
+            assert!(text.contains(&format!("did you mean {suggestion:?}?")), "{text}");
+        }
+        assert!(!refused(Options::new().with_text("reward", "shaped")).contains("did you mean"));
     }
 
     #[test]

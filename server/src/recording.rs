@@ -142,8 +142,18 @@ impl Course {
 
 /// The episodes of a recording, in the order in which they were played; `bytes` may be anything.
 pub fn read(bytes: &[u8]) -> Result<Vec<Course>, Rejection> {
+    courses(part::split(bytes)?)
+}
+
+/// The same of a file that may be cut off: its episodes up to the last whole part, and the number of bytes after that part.
+pub fn read_whole(bytes: &[u8]) -> Result<(Vec<Course>, usize), Rejection> {
+    let (parts, lost) = part::split_whole(bytes)?;
+    Ok((courses(parts)?, lost))
+}
+
+fn courses(parts: Vec<&[u8]>) -> Result<Vec<Course>, Rejection> {
     let mut courses: Vec<Course> = vec![];
-    for part in part::split(bytes)? {
+    for part in parts {
         if Kind::of(part) == Some(Kind::Live) {
             match (LivePart::from_bytes(part)?, courses.last_mut()) {
                 (LivePart::Beginning(beginning), _) => {

@@ -5,7 +5,7 @@ use trocar_proto::builtin::TaskInfo;
 use trocar_proto::goal::Reward;
 use trocar_proto::relative::Relative;
 use trocar_proto::spec::{Element, GoalSpec, OptionSpec};
-use trocar_proto::{Code, Options, Rejection, TaskSpec};
+use trocar_proto::{Code, Options, Rejection, TaskSpec, similar};
 
 use crate::env::{Env, Imaging};
 use crate::render::Scene;
@@ -103,10 +103,7 @@ impl Registry {
     fn build(&self, id: &str, options: &Options) -> Result<Made, Rejection> {
         let Some(entry) = self.0.iter().find(|entry| entry.info.id == id) else {
             let ids: Vec<_> = self.ids().collect();
-            let similar = ids.iter().min_by_key(|known| edit_distance(id, known));
-            let hint = similar
-                .filter(|known| edit_distance(id, known) <= known.len() / 3)
-                .map_or(String::new(), |known| format!("; did you mean {known:?}?"));
+            let hint = similar::hint(id, self.ids());
             let allowed = format!("unknown task{hint}; this server knows {ids:?}");
             return Err(Rejection::new(Code::UnknownTask, "task", format!("{id:?}"), allowed));
         };
@@ -128,22 +125,6 @@ impl Registry {
         let known = (entry.options)();
         Ok(Made { info: entry.info, known, options, task, world, state, relative })
     }
-}
-
-/// Levenshtein distance of two task ids, without regard to case and to the version `-v0`.
-fn edit_distance(one: &str, other: &str) -> usize {
-    let plain = |id: &str| id.trim_end_matches("-v0").to_lowercase();
-    let (one, other) = (plain(one), plain(other));
-    let mut row: Vec<usize> = (0..=other.chars().count()).collect();
-    for (i, a) in one.chars().enumerate() {
-        let mut diagonal = std::mem::replace(&mut row[0], i + 1);
-        for (j, b) in other.chars().enumerate() {
-            let replaced = diagonal + usize::from(a != b);
-            diagonal = row[j + 1];
-            row[j + 1] = replaced.min(diagonal + 1).min(row[j] + 1);
-        }
-    }
-    row[other.chars().count()]
 }
 
 /// A task that was made under some options, in its prepared world.

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import difflib
+
 import gymnasium as gym
 
 from trocar import _trocar
 from trocar._connection import connect
+from trocar.errors import UnknownTask, refuse
 
 NAMESPACE = "trocar"
 
@@ -21,6 +24,26 @@ TAGS = {task: frozenset(tags) for task, (_, _, tags) in _trocar.TASKS.items()}
 """The kind of each task: ``psm``, ``grasp``, ``tissue``, ``bimanual``, ``camera``, ``endless``."""
 
 
+SERVED: dict[str, tuple[int, float]] = {}
+"""Steps of an episode, and nominal rate in Hz, of tasks that are a server's own and registered."""
+
+
+def schedule(task: str) -> tuple[int, float]:
+    """Steps of an episode, and nominal rate in Hz, of a task.
+
+    Raises:
+        trocar.errors.UnknownTask: It is no task of Trocar, and of no server in :data:`SERVED`.
+    """
+    if task in TASKS:
+        return TASKS[task], RATES[task]
+    if task in SERVED:
+        return SERVED[task]
+    similar = difflib.get_close_matches(task, [*TASKS, *SERVED], 1)
+    hint = f"did you mean {similar[0]!r}? " if similar else ""
+    allowed = f"{hint}allowed are {[*TASKS, *SERVED]}, and tasks of a server that is named"
+    raise refuse(UnknownTask, "task", task, allowed)
+
+
 def register_all(server: str | None = None) -> list[str]:
     """Registers the tasks as ``trocar/<task>``; once is enough, more does no harm.
 
@@ -33,7 +56,12 @@ def register_all(server: str | None = None) -> list[str]:
     """
     if server is None:
         return [register(task) for task in TASKS]
-    tasks = connect(server).tasks()
+    client = connect(server)
+    tasks = client.tasks()
+    for task in tasks:
+        if task not in TASKS:
+            spec = client.describe(task)
+            SERVED[task] = (spec.max_steps, round(1.0 / spec.seconds_per_step, 6))
     return [register(task, server=None if task in TASKS else server) for task in tasks]
 
 

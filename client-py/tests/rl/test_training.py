@@ -18,6 +18,7 @@ from onnx.reference import ReferenceEvaluator
 import trocar
 from trocar.demos import record
 from trocar.errors import InvalidRequest
+from trocar.registration import SERVED
 from trocar.rl import Config, Run, export, load, score, train
 from trocar.rl.__main__ import main
 from trocar.rl.curves import curves, find, plot, write_table
@@ -441,6 +442,25 @@ def test_the_command_line_says_what_is_wrong(
     assert main(["configs", *flags, "--set", "noise=0.5", "--option", "grasp=weld"]) == 0
     told = json.loads(capsys.readouterr().out)
     assert (told["noise"], told["task_options"]) == (0.5, {"grasp": "weld"})
+    rows = ["--option", "domain.latency_seconds=0,0.06", "--option", "domain.preset=dvrk"]
+    assert main(["configs", *flags, *rows, "--set", "inputs=observation,desired_goal"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["task_options"] == {"domain": {"latency_seconds": [0, 0.06], "preset": "dvrk"}}
+    assert told["inputs"] == ["observation", "desired_goal"]
+    for command in (["train", *flags], ["curves", str(tmp_path)], ["export", str(tmp_path)]):
+        with pytest.raises(SystemExit, match="2"):
+            main([*command, "--out", "/proc/out"])
+        assert "/proc/out" in capsys.readouterr().err
+
+
+def test_tasks_of_a_server_have_configurations(monkeypatch: pytest.MonkeyPatch) -> None:
+    with pytest.raises(ValueError, match="PushCube"):
+        load("PushCube", "bc")
+    monkeypatch.setitem(SERVED, "PushCube-v0", (50, 5.0))
+    config = load("PushCube", "bc").but(task_options={"rate": 10})
+    assert (config.task, config.steps) == ("PushCube-v0", 100)
+    with pytest.raises(ValueError, match="no algorithm is known"):
+        load("PushCube")
 
 
 def test_damaged_files_of_a_run_are_named(tmp_path: Path) -> None:

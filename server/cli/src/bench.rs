@@ -22,7 +22,7 @@ use serde::Serialize;
 use trocar_proto::Options;
 use trocar_server::Registry;
 
-use crate::options::{self, Assignment};
+use crate::options::{self, OptionFlags};
 use crate::output;
 use crate::policy::Policy;
 use crate::process::OwnServer;
@@ -80,9 +80,8 @@ pub(crate) struct Bench {
     /// Shorter measurements
     #[arg(long)]
     quick: bool,
-    /// Any option of the task; for a row of a table NAME.ROW=LOW,HIGH. May be repeated
-    #[arg(long = "option", value_name = "NAME=VALUE", value_parser = Assignment::parse)]
-    options: Vec<Assignment>,
+    #[command(flatten)]
+    options: OptionFlags,
     /// One JSON object per measurement and line, on stdout
     #[arg(long)]
     json: bool,
@@ -277,7 +276,7 @@ impl Bench {
         let specs = specs.collect::<Result<Vec<_>, _>>()?;
         let time = Duration::from_secs_f64(if self.quick { QUICK_SECONDS } else { SECONDS });
         let mut jobs = vec![];
-        for (task, options) in options::for_tasks(&self.options, &specs)? {
+        for (task, options) in options::for_tasks(&self.options.assignments(), &specs)? {
             let spec = registry.spec(&task, &options)?;
             let numbers = || {
                 self.envs

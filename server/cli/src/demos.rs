@@ -10,10 +10,9 @@ use std::process::Command;
 use anyhow::Context;
 use clap::{Args, ValueEnum};
 use serde_json::Value;
-use trocar_client::Client;
 use trocar_proto::Options;
-use trocar_server::Registry;
 
+use crate::catalog::Catalog;
 use crate::options::{self, Given};
 use crate::process::{PYTHON, python};
 
@@ -149,15 +148,10 @@ impl Demos {
 
     /// The options, if the task and all of them are known and allowed.
     fn checked_options(&self) -> anyhow::Result<Options> {
-        let spec = |options: &Options| {
-            anyhow::Ok(match &self.server {
-                Some(name) => Client::connect(name)?.describe(&self.task, options)?,
-                None => Registry::builtin().spec(&self.task, options)?,
-            })
-        };
-        let known = spec(&Options::new())?;
+        let catalog = Catalog::open(self.server.as_deref())?;
+        let known = catalog.spec(&self.task, &Options::new())?;
         let options = options::options(&self.options.assignments(), &known.options)?;
-        spec(&options)?;
+        catalog.spec(&self.task, &options)?;
         Ok(options)
     }
 }

@@ -1,7 +1,7 @@
 //! `trocar drive`: arms in a live world, driven by hand from the viewer's page.
 
 use std::io::Write;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
@@ -10,10 +10,9 @@ use clap::Args;
 use trocar_client::{Client, SessionRequest};
 use trocar_proto::Options;
 use trocar_proto::dvrk::{Homing, LiveRequest};
-use trocar_server::Registry;
 
-use crate::exit::Exit;
 use crate::options::Given;
+use crate::output;
 use crate::process::OwnServer;
 
 /// How often it looks whether it is to end.
@@ -53,17 +52,14 @@ pub(crate) struct Drive {
 impl Drive {
     pub(crate) fn run(self) -> anyhow::Result<()> {
         ctrlc::set_handler(|| INTERRUPTED.store(true, Ordering::Release))?;
-        if let Some(path) = &self.out {
-            check_file(path)
-                .map_err(|error| Exit::Usage(format!("--out {}: {error}", path.display())))?;
-        }
+        output::check_file(self.out.as_deref())?;
         let own = match &self.server {
             Some(_) => None,
             None => Some(OwnServer::start(&format!("drive-{}", std::process::id()).parse()?, &[])?),
         };
         let name = self.server.as_deref().or(own.as_ref().map(OwnServer::name));
         let client = Client::connect(name.context("one of both")?)?;
-        let spec = Registry::builtin().spec(&self.task, &Options::new())?;
+        let spec = client.describe(&self.task, &Options::new())?;
         let chosen = crate::options::for_tasks(&self.options.assignments(), &[spec])?;
         let (task, options) = chosen.into_iter().next().context("one task was chosen")?;
         let live = LiveRequest {
@@ -90,11 +86,4 @@ impl Drive {
         drop(client);
         own.map_or(Ok(()), OwnServer::stop)
     }
-}
-
-/// Checks that a file can be written at `path`, and leaves the path unchanged.
-fn check_file(path: &Path) -> std::io::Result<()> {
-    let is_new = !path.try_exists()?;
-    std::fs::OpenOptions::new().append(true).create(true).open(path)?;
-    if is_new { std::fs::remove_file(path) } else { Ok(()) }
 }

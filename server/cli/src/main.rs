@@ -12,12 +12,14 @@
 //! | `demo.rs` | a moving picture; one server and three clients in two languages at once |
 //! | `load.rs` | many clients at once that are killed and stopped, each compared with a twin |
 //! | `policy.rs`, `policies.rs` | agents: experts, chance, trained policies; the policies that come with Trocar |
+//! | `catalog.rs` | tasks of this program, or of a server |
 //! | `process.rs`, `options.rs` | processes that are started; options as text |
 //! | `usage.rs`, `inherited.rs` | what other processes use, and what they leave open |
 //! | `logging.rs` | what is logged, and how |
 //! | `output.rs`, `exit.rs` | JSON lines, tables; exit codes |
 
 mod bench;
+mod catalog;
 mod clean;
 mod demo;
 mod demos;

@@ -6,7 +6,7 @@ use anyhow::Context;
 use clap::Args;
 use serde_json::{Map, Value, json};
 use trocar_proto::spec::{Allowed, OptionSpec, PRESET};
-use trocar_proto::{OptionValue, Options, TaskSpec};
+use trocar_proto::{OptionValue, Options, TaskSpec, similar};
 use trocar_server::Registry;
 pub(crate) use trocar_server::tasks::Assignment;
 
@@ -36,9 +36,42 @@ pub(crate) struct Given {
     /// Whose numbers: paper or surrol
     #[arg(long, value_name = "WORD")]
     preset: Option<String>,
-    /// Any option of the task; for a row of a table NAME.ROW=LOW,HIGH. May be repeated
-    #[arg(long = "option", value_name = "NAME=VALUE", value_parser = Assignment::parse)]
-    options: Vec<Assignment>,
+    #[command(flatten)]
+    others: OptionFlags,
+}
+
+/// The flag `--option` of all commands.
+#[derive(Debug, Args)]
+pub(crate) struct OptionFlags {
+    /// Any option of the task: NAME=VALUE, lists as NAME=A,B, rows of a table as NAME.ROW=LOW,HIGH; JSON values
+    /// are accepted too. May be repeated
+    #[arg(long = "option", value_name = "NAME=VALUE", value_parser = OptionFlag::parse)]
+    flags: Vec<OptionFlag>,
+}
+
+impl OptionFlags {
+    /// All assignments, in the order of the flags.
+    pub(crate) fn assignments(&self) -> Vec<Assignment> {
+        self.flags.iter().flat_map(|flag| &flag.0).cloned().collect()
+    }
+}
+
+/// The assignments of one flag: several if its value is a JSON object, whose members are rows of a table.
+#[derive(Debug, Clone, PartialEq)]
+struct OptionFlag(Vec<Assignment>);
+
+impl OptionFlag {
+    fn parse(text: &str) -> Result<Self, String> {
+        if let Some((name, value)) = text.split_once('=')
+            && value.trim_start().starts_with(['[', '{', '"'])
+        {
+            let value: Value = serde_json::from_str(value)
+                .map_err(|error| format!("neither NAME=VALUE nor NAME=JSON: {error}"))?;
+            let assignments = from_json_members([(name, &value)]);
+            return Ok(Self(assignments.map_err(|error| format!("{error:#}"))?));
+        }
+        Ok(Self(vec![Assignment::parse(text)?]))
+    }
 }
 
 impl Given {
@@ -56,7 +89,7 @@ impl Given {
         let named = named
             .into_iter()
             .filter_map(|(name, text)| text.as_ref().map(|text| Assignment::new(name, text)));
-        named.chain(self.options.iter().cloned()).collect()
+        named.chain(self.others.assignments()).collect()
     }
 }
 
@@ -87,7 +120,9 @@ pub(crate) fn for_tasks(
     if let Some(unknown) =
         assignments.iter().find(|given| !tasks.iter().any(|task| knows(task, given)))
     {
-        let text = format!("options.{}: no task knows this option", unknown.name);
+        let known = tasks.iter().flat_map(|task| &task.options).map(|option| option.name.as_str());
+        let hint = similar::hint(&unknown.name, known);
+        let text = format!("options.{}: no task knows this option{hint}", unknown.name);
         return Err(Exit::Usage(text).into());
     }
     let with_options = |task: &TaskSpec| {
@@ -103,6 +138,14 @@ pub(crate) fn for_tasks(
 
 /// The assignments of a JSON object: values by the name of their option.
 pub(crate) fn from_json(object: &str) -> anyhow::Result<Vec<Assignment>> {
+    let object: Map<String, Value> = serde_json::from_str(object)?;
+    from_json_members(object.iter().map(|(name, value)| (name.as_str(), value)))
+}
+
+/// The same for members of an object. A name may be that of a row, NAME.ROW.
+fn from_json_members<'a>(
+    members: impl IntoIterator<Item = (&'a str, &'a Value)>,
+) -> anyhow::Result<Vec<Assignment>> {
     fn text(value: &Value) -> Option<String> {
         match value {
             Value::Bool(_) | Value::Number(_) => Some(value.to_string()),
@@ -113,14 +156,13 @@ pub(crate) fn from_json(object: &str) -> anyhow::Result<Vec<Assignment>> {
             Value::Null | Value::Object(_) => None,
         }
     }
-    let object: Map<String, Value> = serde_json::from_str(object)?;
     let mut assignments = vec![];
-    for (name, value) in &object {
+    for (name, value) in members {
         let rows = match value {
             Value::Object(rows) => {
                 rows.iter().map(|(row, value)| (format!("{name}.{row}"), value)).collect()
             }
-            value => vec![(name.clone(), value)],
+            value => vec![(name.to_string(), value)],
         };
         for (path, value) in rows {
             let text = text(value)
@@ -219,6 +261,25 @@ mod tests {
         assert_eq!(options.0["observation"], OptionValue::Texts(words));
         for wrong in ["[1]", r#"{"rate": null}"#, r#"{"domain": {"latency": {}}}"#, "{"] {
             assert!(from_json(wrong).is_err(), "{wrong}");
+        }
+    }
+
+    #[test]
+    fn flags_may_have_json_values() {
+        let read = |text| OptionFlag::parse(text).unwrap();
+        let written = |texts: &[&str]| {
+            OptionFlag(texts.iter().map(|text| Assignment::parse(text).unwrap()).collect())
+        };
+        assert_eq!(read("observation=state,rgb"), written(&["observation=state,rgb"]));
+        assert_eq!(read(r#"observation=["state", "rgb"]"#), written(&["observation=state,rgb"]));
+        assert_eq!(read(r#"reward="dense""#), written(&["reward=dense"]));
+        assert_eq!(
+            read(r#"domain={"latency": [0, 2], "preset": "dvrk"}"#),
+            written(&["domain.latency=0,2", "domain.preset=dvrk"])
+        );
+        assert_eq!(read("domain.latency=[0, 2]"), written(&["domain.latency=0,2"]));
+        for wrong in ["reward", "domain={", r#"domain={"latency": null}"#] {
+            assert!(OptionFlag::parse(wrong).is_err(), "{wrong}");
         }
     }
 

@@ -1,33 +1,48 @@
 //! Output of the commands: JSON lines on stdout, tables on stderr or stdout.
 
-use std::io::{IsTerminal, Write};
+use std::fs::OpenOptions;
+use std::io::{self, IsTerminal, Write};
+use std::path::Path;
 use std::time::Duration;
 
 use comfy_table::{CellAlignment, ContentArrangement, Table, presets};
 use serde::Serialize;
+
+use crate::exit::Exit;
 
 /// Width of tables in a log, characters.
 const LOG_WIDTH: u16 = 120;
 
 /// Writes one JSON object as a line on stdout.
 pub(crate) fn json_line(object: &impl Serialize) -> anyhow::Result<()> {
-    let mut stdout = std::io::stdout().lock();
-    serde_json::to_writer(&mut stdout, object).map_err(std::io::Error::from)?;
+    let mut stdout = io::stdout().lock();
+    serde_json::to_writer(&mut stdout, object).map_err(io::Error::from)?;
     writeln!(stdout)?;
     stdout.flush()?;
     Ok(())
 }
 
+/// Checks that the file of `--out`, if there is one, can be written, and leaves its path unchanged.
+pub(crate) fn check_file(out: Option<&Path>) -> anyhow::Result<()> {
+    let check = |path: &Path| -> io::Result<()> {
+        let is_new = !path.try_exists()?;
+        OpenOptions::new().append(true).create(true).open(path)?;
+        if is_new { std::fs::remove_file(path) } else { Ok(()) }
+    };
+    let Some(path) = out else { return Ok(()) };
+    check(path).map_err(|error| Exit::Usage(format!("--out {}: {error}", path.display())).into())
+}
+
 /// An empty table; columns from `first_number` on hold numbers and are aligned to the right.
 pub(crate) fn table(header: &[&str], first_number: usize) -> Table {
-    let mut table = plain_table(header, std::io::stderr().is_terminal(), first_number);
+    let mut table = plain_table(header, io::stderr().is_terminal(), first_number);
     table.use_stderr();
     table
 }
 
 /// The same for stdout.
 pub(crate) fn stdout_table(header: &[&str], first_number: usize) -> Table {
-    plain_table(header, std::io::stdout().is_terminal(), first_number)
+    plain_table(header, io::stdout().is_terminal(), first_number)
 }
 
 fn plain_table(header: &[&str], is_terminal: bool, first_number: usize) -> Table {

@@ -18,6 +18,7 @@ use trocar_server::recording::{EVERY, Recorder};
 
 use crate::exit::Exit;
 use crate::options::Given;
+use crate::output;
 use crate::policy::Chooser;
 
 /// How often a session is asked for what it has recorded.
@@ -74,6 +75,7 @@ pub(crate) struct Record {
 impl Record {
     pub(crate) fn run(self) -> anyhow::Result<()> {
         ctrlc::set_handler(|| INTERRUPTED.store(true, Ordering::Release))?;
+        output::check_file(Some(&self.out))?;
         // Connected, or its policy read, before a file is made.
         let episodes = match self.session {
             Some(session) => {
@@ -109,15 +111,24 @@ impl Record {
         let (mut out, mut recorder) = (create(&self.out)?, Recorder::new(self.every));
         let progress = ProgressBar::new(count.into());
         for k in 0..count {
-            if INTERRUPTED.load(Ordering::Acquire) {
-                out.flush()?;
-                return Ok(k);
-            }
             let seed = seed::of(u128::from(self.seed) + u128::from(k));
-            policy.play(&mut env, seed, |env, _| match recorder.after_step(env) {
-                Some(part) => Ok(out.write_all(&part)?),
-                None => Ok(()),
-            })?;
+            let mut is_stopped = false;
+            let played = policy.play(&mut env, seed, |env, _| {
+                is_stopped = INTERRUPTED.load(Ordering::Acquire);
+                let part = recorder.after_step(env);
+                let part =
+                    if is_stopped { part.or_else(|| recorder.before_leaving(env)) } else { part };
+                out.write_all(&part.unwrap_or_default())?;
+                anyhow::ensure!(!is_stopped, "interrupted");
+                Ok(())
+            });
+            if is_stopped {
+                progress.finish_and_clear();
+                out.flush()?;
+                eprintln!("interrupted: the last episode ends at step {}", env.steps());
+                return Ok(k + 1);
+            }
+            played?;
             progress.inc(1);
         }
         progress.finish_and_clear();
@@ -135,6 +146,10 @@ impl Record {
                 Ok(fetched) => fetched,
                 Err(CallError::Refused(refusal)) if refusal.code == Code::UnknownSession => {
                     eprintln!("the session has ended");
+                    break;
+                }
+                Err(CallError::ServerLost { .. }) => {
+                    eprintln!("the server has ended, and the recording with it");
                     break;
                 }
                 Err(error) => return Err(error.into()),

@@ -5,6 +5,7 @@ pub(crate) mod image;
 pub(crate) mod look;
 pub(crate) mod moments;
 mod place;
+mod served;
 
 use std::path::{Path, PathBuf};
 
@@ -12,10 +13,11 @@ use anyhow::Context;
 use clap::Args;
 use trocar_proto::Options;
 use trocar_server::Env;
-use trocar_server::Registry;
 
+use crate::catalog::Catalog;
 use crate::exit::Exit;
-use crate::options::{self, Assignment};
+use crate::options::{self, Assignment, OptionFlags};
+use crate::output;
 use crate::policy::Chooser;
 use image::Image;
 use look::{Format, GAP, Look};
@@ -33,6 +35,7 @@ Examples:
   trocar render --task NeedlePick-v0 --look cavity --camera endoscope --out dark.png
   trocar render --policy NeedlePick --seconds 5 --out pick.gif one of `trocar policies`
   trocar render --policy policy.onnx --out trained.gif         a policy of `python -m trocar.rl export`
+  trocar render --server own --task PushCube-v0 --out push.gif a task of a server of one's own
   trocar render --each pictures/                               one picture of each task
 
 Depth is brighter the nearer; every body has a colour of its own in the mask. MP4 is not written: GIF is
@@ -51,14 +54,16 @@ pub(crate) struct Render {
     /// Show no more of the episode than this, s of simulated time
     #[arg(long, value_name = "SECONDS", default_value_t = f64::INFINITY, hide_default_value = true)]
     seconds: f64,
+    /// Run in the server of that name, which draws colours only and the ends of steps
+    #[arg(long, value_name = "NAME")]
+    server: Option<String>,
     #[command(flatten)]
     look: Look,
     /// In what light: bench, or cavity (from a lamp at the endoscope); the same as --option look=WORD
     #[arg(long = "look", value_name = "WORD")]
     light: Option<String>,
-    /// Any option of the task; for a row of a table NAME.ROW=LOW,HIGH. May be repeated
-    #[arg(long = "option", value_name = "NAME=VALUE", value_parser = Assignment::parse)]
-    options: Vec<Assignment>,
+    #[command(flatten)]
+    options: OptionFlags,
     /// The file: .png is a contact sheet, .gif moves
     #[arg(long, value_name = "FILE", required_unless_present = "each")]
     out: Option<PathBuf>,
@@ -69,25 +74,24 @@ pub(crate) struct Render {
 
 impl Render {
     pub(crate) fn run(self) -> anyhow::Result<()> {
-        let registry = Registry::builtin();
+        let format = self.out.as_deref().map(Format::of).transpose()?;
+        output::check_file(self.out.as_deref())?;
         let policy = Chooser::read(&self.policy)?;
-        let all = || Ok(registry.ids().map(str::to_string).collect());
-        let ids = policy.tasks(&self.task, all)?;
-        let specs: Result<Vec<_>, _> =
-            ids.iter().map(|id| registry.spec(id, &Options::new())).collect();
+        let catalog = Catalog::open(self.server.as_deref())?;
+        let ids = policy.tasks(&self.task, || catalog.tasks())?;
         let light = self.light.iter().map(|word| Assignment::new("look", word));
-        let given = light.chain(self.options.iter().cloned()).collect();
-        let tasks = options::for_tasks(&policy.with_options(given)?, &specs?)?;
-        let (path, format) = match (&self.each, &self.out) {
-            (Some(folder), _) => return self.each(&registry, &policy, &tasks, folder),
-            (None, Some(path)) => (path, Format::of(path)?),
+        let given = light.chain(self.options.assignments()).collect();
+        let tasks = options::for_tasks(&policy.with_options(given)?, &catalog.specs(&ids)?)?;
+        let (path, format) = match (&self.each, self.out.as_ref().zip(format)) {
+            (Some(folder), _) => return self.each(&catalog, &policy, &tasks, folder),
+            (None, Some(file)) => file,
             (None, None) => return Err(Exit::Usage("--out or --each is needed".into()).into()),
         };
         match format {
             Format::Sheet => {
                 let mut rows = Vec::new();
                 for (task, options) in &tasks {
-                    let episode = self.episode(&registry, &policy, task, options, format)?;
+                    let episode = self.episode(&catalog, &policy, task, options, format)?;
                     rows.push(self.look.row(&episode)?);
                     eprintln!("row {}: {task}, {} steps", rows.len(), episode.len() - 1);
                 }
@@ -96,7 +100,7 @@ impl Render {
             Format::Moving => {
                 let mut film = Vec::new();
                 for (task, options) in &tasks {
-                    film.extend(self.episode(&registry, &policy, task, options, format)?);
+                    film.extend(self.episode(&catalog, &policy, task, options, format)?);
                     eprintln!("{task}: {} pictures so far", film.len());
                 }
                 self.look.write_film(path, &film)?;
@@ -109,7 +113,7 @@ impl Render {
     /// Writes one picture of each task.
     fn each(
         &self,
-        registry: &Registry,
+        catalog: &Catalog,
         policy: &Chooser,
         tasks: &[(String, Options)],
         folder: &Path,
@@ -117,9 +121,9 @@ impl Render {
         std::fs::create_dir_all(folder)
             .with_context(|| format!("creating {}", folder.display()))?;
         for (task, options) in tasks {
-            let episode = self.episode(registry, policy, task, options, Format::Sheet)?;
+            let episode = self.episode(catalog, policy, task, options, Format::Sheet)?;
             let path = folder.join(format!("{task}.png"));
-            self.look.picture(&episode[amid(episode.len())].scene)?.write_png(&path)?;
+            self.look.picture(&episode[amid(episode.len())].sight)?.write_png(&path)?;
             eprintln!("wrote {}", path.display());
         }
         Ok(())
@@ -128,12 +132,21 @@ impl Render {
     /// What a file of this format shows of an episode.
     fn episode(
         &self,
-        registry: &Registry,
+        catalog: &Catalog,
         policy: &Chooser,
         task: &str,
         options: &Options,
         format: Format,
     ) -> anyhow::Result<Vec<Moment>> {
+        let registry = match catalog {
+            Catalog::Builtin(registry) => registry,
+            Catalog::Server(client) => {
+                let Self { look, seed, seconds, .. } = self;
+                return served::episode(
+                    client, look, policy, task, options, *seed, *seconds, format,
+                );
+            }
+        };
         let mut env = registry.make(task, options)?;
         policy.check(env.spec())?;
         env.reset(Some(self.seed));

@@ -30,7 +30,7 @@ Examples:
   trocar replay pick.trocar --view 8080                   in the browser, with a slider for the time
   trocar replay --json ~/.local/state/trocar/failures/*.trocar
 
-Where the bits of a state are not those that were recorded, it says which and fails. With --json, an episode a
+A recording that was cut off is played up to its last whole part. Where the bits of a state are not those that were recorded, it says which and fails. With --json, an episode a
 line: {file, episode, task, seed, number, steps, snapshots, return, success, failed}.")]
 pub(crate) struct Replay {
     /// Recordings of `trocar record`, or of failures
@@ -71,6 +71,7 @@ struct Row {
 impl Replay {
     pub(crate) fn run(self) -> anyhow::Result<()> {
         let format = self.out.as_deref().map(Format::of).transpose()?;
+        output::check_file(self.out.as_deref())?;
         let registry = Registry::builtin();
         let header =
             ["file", "episode", "task", "seed", "steps", "snapshots", "return", "ends in success"];
@@ -80,7 +81,8 @@ impl Replay {
         for file in &self.files {
             let name = file.display().to_string();
             let bytes = std::fs::read(file).with_context(|| format!("reading {name}"))?;
-            let courses = recording::read(&bytes).with_context(|| name.clone())?;
+            let (courses, lost) = recording::read_whole(&bytes).with_context(|| name.clone())?;
+            let last = courses.len() - 1;
             let chosen = courses.into_iter().enumerate();
             let chosen: Vec<_> = chosen
                 .filter(|(index, _)| self.episode.is_none_or(|wanted| wanted == *index))
@@ -100,6 +102,13 @@ impl Replay {
                     Some(Format::Sheet) => rows.push(self.look.row(&moments)?),
                     Some(Format::Moving) => film.extend(moments),
                     None => {}
+                }
+                if lost > 0 && index == last {
+                    eprintln!(
+                        "{name}: cut off, {lost} bytes of an unfinished part are left out; it ends at step {} of \
+                         episode {index}",
+                        row.steps
+                    );
                 }
                 let ending = match (row.failed, row.success) {
                     (true, _) => "simulation failed",

@@ -12,10 +12,9 @@ use clap::Args;
 use indicatif::{ProgressBar, ProgressStyle};
 use serde::Serialize;
 use serde_json::Value;
-use trocar_client::Client;
-use trocar_proto::{Options, TaskSpec, seed};
-use trocar_server::Registry;
+use trocar_proto::{Options, seed};
 
+use crate::catalog::Catalog;
 use crate::options::{self, Assignment, Given};
 use crate::output;
 use crate::policy::Chooser;
@@ -128,32 +127,11 @@ struct Row {
     steps_per_second: f64,
 }
 
-/// Where the episodes run.
-enum Place {
-    Here(Registry),
-    Server(Client),
-}
-
-impl Place {
-    fn tasks(&self) -> anyhow::Result<Vec<String>> {
-        Ok(match self {
-            Self::Here(registry) => registry.ids().map(str::to_string).collect(),
-            Self::Server(client) => client.tasks()?,
-        })
-    }
-
-    fn spec(&self, task: &str, options: &Options) -> anyhow::Result<TaskSpec> {
-        Ok(match self {
-            Self::Here(registry) => registry.spec(task, options)?,
-            Self::Server(client) => client.describe(task, options)?,
-        })
-    }
-
-    fn run(&self, job: &Job<'_>, progress: &ProgressBar) -> anyhow::Result<Vec<Episode>> {
-        match self {
-            Self::Here(registry) => in_process::run(registry, job, progress),
-            Self::Server(client) => served::run(client, job, progress),
-        }
+/// Runs the episodes of a job.
+fn run(catalog: &Catalog, job: &Job<'_>, progress: &ProgressBar) -> anyhow::Result<Vec<Episode>> {
+    match catalog {
+        Catalog::Builtin(registry) => in_process::run(registry, job, progress),
+        Catalog::Server(client) => served::run(client, job, progress),
     }
 }
 
@@ -161,17 +139,14 @@ impl Rollout {
     pub(crate) fn run(self) -> anyhow::Result<()> {
         let viewed = self.view.then(start_viewed).transpose()?;
         let name = viewed.as_ref().map(OwnServer::name).or(self.server.as_deref());
-        let place = match name {
-            Some(name) => Place::Server(Client::connect(name)?),
-            None => Place::Here(Registry::builtin()),
-        };
+        let catalog = Catalog::open(name)?;
         let policy = Chooser::read(&self.policy)?;
         let assignments = policy.with_options(self.options.assignments())?;
         let header = ["task", "policy", "episodes", "success", "success ever", "mean return"];
         let header: Vec<_> = header.into_iter().chain(["mean length", "steps/s"]).collect();
         let mut table = output::table(&header, 2);
-        for (task, options) in self.chosen(&place, &policy, &assignments)? {
-            let row = self.roll_out(&place, &task, options, &policy)?;
+        for (task, options) in self.chosen(&catalog, &policy, &assignments)? {
+            let row = self.roll_out(&catalog, &task, options, &policy)?;
             if self.json {
                 output::json_line(&row)?;
             }
@@ -189,31 +164,29 @@ impl Rollout {
         if !self.json {
             eprintln!("{table}");
         }
-        drop(place);
+        drop(catalog);
         viewed.map_or(Ok(()), OwnServer::stop)
     }
 
     /// The tasks to run, each with the options that it knows.
     fn chosen(
         &self,
-        place: &Place,
+        catalog: &Catalog,
         policy: &Chooser,
         assignments: &[Assignment],
     ) -> anyhow::Result<Vec<(String, Options)>> {
-        let ids = policy.tasks(&self.task, || place.tasks())?;
-        let specs = ids.iter().map(|task| place.spec(task, &Options::new()));
-        let specs = specs.collect::<anyhow::Result<Vec<_>>>()?;
-        options::for_tasks(assignments, &specs)
+        let ids = policy.tasks(&self.task, || catalog.tasks())?;
+        options::for_tasks(assignments, &catalog.specs(&ids)?)
     }
 
     fn roll_out(
         &self,
-        place: &Place,
+        catalog: &Catalog,
         task: &str,
         options: Options,
         policy: &Chooser,
     ) -> anyhow::Result<Row> {
-        let spec = place.spec(task, &options)?;
+        let spec = catalog.spec(task, &options)?;
         policy.check(&spec)?;
         let grasp = spec
             .options
@@ -225,7 +198,7 @@ impl Rollout {
 
         let progress = progress_bar(task, episodes);
         let start = Instant::now();
-        let outcomes = place.run(&job, &progress)?;
+        let outcomes = run(catalog, &job, &progress)?;
         let seconds = start.elapsed().as_secs_f64();
         progress.finish_and_clear();
         let failed = outcomes.iter().filter(|episode| episode.failed).count();

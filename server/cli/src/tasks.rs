@@ -5,10 +5,10 @@ use std::io::{self, Write};
 use clap::Args;
 use serde::Serialize;
 use serde_json::{Map, Value, json};
+use trocar_proto::TaskSpec;
 use trocar_proto::spec::OptionSpec;
-use trocar_proto::{Options, TaskSpec};
-use trocar_server::Registry;
 
+use crate::catalog::Catalog;
 use crate::{options, output};
 
 /// Options by groups; the remaining options are in a group of their own.
@@ -40,6 +40,7 @@ const GROUPS: [(&str, &[&str]); 4] = [
 Examples:
   trocar tasks           a table of all tasks
   trocar tasks NeedlePick   the options of a task
+  trocar tasks --server own   the tasks of a server, which may have its own
   trocar tasks --json    {id, action_dim, observation_dim, goal_dim, max_steps, seconds_per_step, options}
 
 In Python a task is gym.make(\"trocar/<task>\", option=value, …).")]
@@ -47,6 +48,9 @@ pub(crate) struct Tasks {
     /// A task, to list its options
     #[arg(value_name = "NAME", value_parser = options::task_id)]
     task: Option<String>,
+    /// List the tasks of the server of that name
+    #[arg(long, value_name = "NAME")]
+    server: Option<String>,
     /// One JSON object per task and line, on stdout
     #[arg(long)]
     json: bool,
@@ -65,15 +69,12 @@ struct Row<'a> {
 
 impl Tasks {
     pub(crate) fn run(self) -> anyhow::Result<()> {
-        let registry = Registry::builtin();
-        let ids: Vec<_> = match &self.task {
-            Some(task) => vec![task.as_str()],
-            None => registry.ids().collect(),
+        let catalog = Catalog::open(self.server.as_deref())?;
+        let ids = match &self.task {
+            Some(task) => vec![task.clone()],
+            None => catalog.tasks()?,
         };
-        let specs = ids
-            .into_iter()
-            .map(|id| registry.spec(id, &Options::new()))
-            .collect::<Result<Vec<_>, _>>()?;
+        let specs = catalog.specs(&ids)?;
         if self.json {
             return specs.iter().try_for_each(|spec| output::json_line(&row(spec)));
         }

@@ -182,6 +182,54 @@ fn tasks_are_listed_with_dimensions_and_options() {
     let drive = run(&["drive", "--out", "/no/such/folder.trocar"]);
     assert_eq!(drive.status.code(), Some(2));
     assert!(stderr(&drive).contains("/no/such/folder.trocar"));
+    let render = run(&["render", "--out", "/no/such/folder.gif"]);
+    assert_eq!(render.status.code(), Some(2));
+    assert!(stderr(&render).contains("/no/such/folder.gif"));
+}
+
+#[test]
+fn options_have_one_syntax_and_suggestions() {
+    let rollout = |option: &str| {
+        let task = ["rollout", "--task", "NeedleReach", "--episodes", "1", "--json", "--option"];
+        run(&[&task[..], &[option]].concat())
+    };
+    for option in ["domain.latency=1,2", r#"domain={"latency": [1, 2]}"#, "domain.latency=[1, 2]"] {
+        let mean = json_lines(&rollout(option))[0]["mean_return"].clone();
+        let expected = json_lines(&rollout("domain.latency=1,2"))[0]["mean_return"].clone();
+        assert_eq!(mean, expected, "{option}");
+    }
+    for (option, suggestion) in
+        [("rewards=dense", "reward"), ("reward=dence", "dense"), ("domain.latncy=1,2", "latency")]
+    {
+        let refused = rollout(option);
+        let words = format!("did you mean {suggestion:?}?");
+        assert_eq!(refused.status.code(), Some(2));
+        assert!(stderr(&refused).contains(&words), "{}", stderr(&refused));
+    }
+    let refused = run(&["bench", "--option", "rewards=dense"]);
+    assert!(stderr(&refused).contains("did you mean \"reward\"?"), "{}", stderr(&refused));
+}
+
+#[test]
+fn a_server_lists_its_tasks_and_draws_their_episodes() {
+    let server = Server::start("draws");
+    let place = ["--server", server.name.as_str()];
+    let listed = |more: &[&str]| json_lines(&run(&[&["tasks", "--json"], more].concat()));
+    assert_eq!(listed(&place), listed(&[]));
+    let picture = |more: &[&str]| {
+        let name = format!("trocar-{}-{}.png", std::process::id(), more.len());
+        let path = std::env::temp_dir().join(name);
+        let flags = ["render", "--task", "NeedlePick", "--seconds", "4", "--size", "48x32"];
+        let out = ["--out", path.to_str().unwrap()];
+        let output = run(&[&flags[..], &out, more].concat());
+        assert!(output.status.success(), "{}", stderr(&output));
+        let bytes = std::fs::read(&path).unwrap();
+        std::fs::remove_file(&path).unwrap();
+        bytes
+    };
+    assert!(picture(&place) == picture(&[]), "a server draws another picture");
+    let mask = run(&[&["render", "--show", "mask", "--out", "/tmp/mask.png"], &place[..]].concat());
+    assert_eq!(mask.status.code(), Some(2), "{}", stderr(&mask));
 }
 
 #[test]

@@ -115,8 +115,51 @@ fn what_cannot_be_recorded_or_played_is_said() {
     bytes[last] ^= 1;
     std::fs::write(&file.0, &bytes).unwrap();
     said(&["replay", file.path()], 1, "checksum");
-    std::fs::write(&file.0, &bytes[..last]).unwrap();
-    said(&["replay", file.path()], 1, "cut off");
+    std::fs::write(&file.0, &bytes[..7]).unwrap();
+    said(&["replay", file.path()], 1, "bad.trocar");
+    for command in [&["replay", file.path()][..], &["record", "--task", "EcmReach-v0"]] {
+        said(&[command, &["--out", "/no/such/folder/file.png"]].concat(), 2, "/no/such/folder");
+    }
+}
+
+#[test]
+fn a_recording_that_was_cut_off_is_played_up_to_its_last_whole_part() {
+    let file = Scratch::new("cut.trocar");
+    let record = ["record", "--task", "EcmReach-v0", "--episodes", "2", "--out", file.path()];
+    assert!(run(&record).status.success());
+    let bytes = std::fs::read(&file.0).unwrap();
+    std::fs::write(&file.0, &bytes[..bytes.len() - 1]).unwrap();
+    let output = run(&["replay", "--json", file.path()]);
+    let rows = rows(&output);
+    assert_eq!((rows.len(), &rows[0]["steps"], &rows[1]["steps"]), (2, &50.into(), &40.into()));
+    let text = String::from_utf8_lossy(&output.stderr);
+    for words in ["cut.trocar: cut off", "it ends at step 40 of episode 1"] {
+        assert!(text.contains(words), "{text}");
+    }
+}
+
+#[test]
+fn a_recording_of_a_policy_that_is_interrupted_is_whole() {
+    for signal in [Signal::INT, Signal::TERM] {
+        let file = Scratch::new("interrupted.trocar");
+        let record = ["record", "--task", "ActiveTrack-v0", "--episodes", "100000", "--out"];
+        let mut recorder = trocar(&[&record[..], &[file.path()]].concat());
+        let recorder = recorder.stderr(Stdio::piped()).spawn().unwrap();
+        let start = Instant::now();
+        while std::fs::metadata(&file.0).map_or(0, |file| file.len()) == 0 {
+            assert!(start.elapsed() < PATIENCE, "no part is written");
+            std::thread::sleep(Duration::from_millis(5));
+        }
+        rustix::process::kill_process(Pid::from_child(&recorder), signal).unwrap();
+        let output = recorder.wait_with_output().unwrap();
+        let text = String::from_utf8_lossy(&output.stderr);
+        assert!(output.status.success() && text.contains("interrupted"), "{text}");
+        let replayed = run(&["replay", "--json", file.path()]);
+        assert!(!String::from_utf8_lossy(&replayed.stderr).contains("cut off"));
+        let last = rows(&replayed).pop().unwrap();
+        let end = format!("ends at step {}", last["steps"]);
+        assert!(text.contains(&end), "{text}, {last}");
+    }
 }
 
 #[test]

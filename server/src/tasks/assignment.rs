@@ -2,8 +2,8 @@
 
 use std::collections::BTreeMap;
 
-use trocar_proto::spec::{Allowed, OptionSpec, PRESET};
-use trocar_proto::{Code, OptionValue, Options, Rejection};
+use trocar_proto::spec::{self, Allowed, OptionSpec, PRESET};
+use trocar_proto::{OptionValue, Options, Rejection};
 
 /// `NAME=VALUE` or, for a row of a table, `NAME.ROW=VALUE`.
 #[derive(Debug, Clone, PartialEq)]
@@ -38,13 +38,7 @@ impl Assignment {
         for assignment in assignments {
             let name = &assignment.name;
             let Some(option) = known.iter().find(|option| option.name == *name) else {
-                let names: Vec<_> = known.iter().map(|option| option.name.as_str()).collect();
-                return Err(Rejection::new(
-                    Code::UnknownOption,
-                    format!("options.{name}"),
-                    format!("{:?}", assignment.text),
-                    format!("unknown option; this task knows {names:?}"),
-                ));
+                return Err(spec::unknown(name, format!("{:?}", assignment.text), known));
             };
             let value = assignment.value(option);
             match (options.0.get_mut(name), value) {

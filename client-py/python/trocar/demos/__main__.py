@@ -10,6 +10,7 @@ from typing import Any
 
 from trocar.demos import FORMATS, Recording, record
 from trocar.errors import InvalidRequest, NoServer, TrocarError
+from trocar.registration import register_all
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -66,6 +67,9 @@ def _record(given: argparse.Namespace) -> Recording:
     settings: dict[str, Any] = {name: getattr(given, name) for name in names}
     settings |= {"server": given.server, **given.options}
     settings["name"] = given.name or ("hand-v0" if given.by_hand else "expert-v0")
+    if given.server:
+        # A server may have tasks of its own.
+        register_all(given.server)
     if given.by_hand:
         settings["by_hand"] = lambda page: print(f"drive at {page}", file=sys.stderr, flush=True)
     if not sys.stderr.isatty():

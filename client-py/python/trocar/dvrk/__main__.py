@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from trocar import dvrk
+from trocar._paths import output_file
 from trocar.dvrk import arms, crtk, kdl
 from trocar.dvrk._clock import Clock
 from trocar.errors import TrocarError
@@ -65,16 +66,8 @@ def clock_in_place(world: dvrk.World, is_lock_step: bool) -> Iterator[None]:
 
 
 def recording(text: str) -> Path:
-    """Path of a recording, if a file can be written there."""
-    path = Path(text)
-    try:
-        is_new = not path.exists()
-        path.open("ab").close()
-        if is_new:
-            path.unlink()
-    except OSError as error:
-        raise argparse.ArgumentTypeError(f"{path}: {error.strerror}") from None
-    return path.absolute()
+    """Path of a recording, if a file can be written there; the script may change the folder."""
+    return output_file(text).absolute()
 
 
 def is_script(path: Path) -> bool:

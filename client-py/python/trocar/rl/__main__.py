@@ -8,8 +8,10 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from trocar.errors import InvalidOption, NoServer, TrocarError, refuse
-from trocar.registration import TASKS
+from trocar._assignments import SYNTAX, assignments
+from trocar._paths import output_file, output_folder
+from trocar.errors import NoServer, TrocarError
+from trocar.registration import TASKS, register_all
 from trocar.rl.config import ALGORITHMS, load
 
 EPILOG = """\
@@ -21,6 +23,9 @@ def main(arguments: list[str] | None = None) -> int:
     """Runs a command and returns its exit code."""
     given = _parser().parse_args(arguments)
     try:
+        if getattr(given, "server", None):
+            # A server may have tasks of its own.
+            register_all(given.server)
         given.run(given)
     except KeyboardInterrupt:
         print("interrupted; --resume goes on", file=sys.stderr)
@@ -42,7 +47,7 @@ def _parser() -> argparse.ArgumentParser:
     train.set_defaults(run=_train)
     _chosen(train)
     train.add_argument("--seed", type=int, default=0)
-    train.add_argument("--out", default="runs", help="folder of runs")
+    train.add_argument("--out", type=output_folder, default="runs", help="folder of runs")
     train.add_argument("--resume", action="store_true", help="go on with a run that is there")
     train.add_argument("--demos", help="folder of a Minari data set, instead of the expert")
     train.add_argument("--epochs", type=int)
@@ -58,7 +63,7 @@ def _parser() -> argparse.ArgumentParser:
     evaluate.add_argument("--episodes", type=int, default=200)
     evaluate.add_argument("--seed", type=int, help="of the first episode")
     evaluate.add_argument("--envs", type=int, default=50)
-    evaluate.add_argument("--server")
+    evaluate.add_argument("--server", help="name of a running server; one of its own by default")
     evaluate.add_argument(
         "--conditions", action="store_true", help="also late, disturbed, and at twice the rate"
     )
@@ -71,19 +76,21 @@ def _parser() -> argparse.ArgumentParser:
     curves = commands.add_parser("curves", help="the figure of all runs in a folder")
     curves.set_defaults(run=_curves)
     curves.add_argument("runs", type=Path)
-    curves.add_argument("--out", type=Path, default=Path("curves.png"), help=".png; .csv beside it")
+    curves.add_argument(
+        "--out", type=output_file, default="curves.png", help=".png; .csv beside it"
+    )
 
     report = commands.add_parser("report", help="a page with tables and figures of all runs")
     report.set_defaults(run=_report)
     report.add_argument("runs", type=Path)
-    report.add_argument("--out", type=Path, default=Path("RESULTS.md"))
-    report.add_argument("--pictures", type=Path, default=Path(), help="folder of the figures")
+    report.add_argument("--out", type=output_file, default="RESULTS.md")
+    report.add_argument("--pictures", type=output_folder, default=".", help="folder of the figures")
 
     export = commands.add_parser("export", help="a policy as ONNX, for trocar rollout")
     export.set_defaults(run=_export)
     export.add_argument("run_folder", type=Path, metavar="RUN")
     export.add_argument("--policy", choices=("best", "last"), default="best")
-    export.add_argument("--out", type=Path, default=Path("policy.onnx"))
+    export.add_argument("--out", type=output_file, default="policy.onnx")
     export.add_argument(
         "--card", action="store_true", help="write into the file how well it does, once evaluated"
     )
@@ -91,7 +98,7 @@ def _parser() -> argparse.ArgumentParser:
     best = commands.add_parser("best", help="each task's best policy as ONNX, and their page")
     best.set_defaults(run=_best)
     best.add_argument("runs", type=Path, help="folder of runs, which were evaluated")
-    best.add_argument("--out", type=Path, default=Path("policies"), help="folder of the files")
+    best.add_argument("--out", type=output_folder, default="policies", help="folder of the files")
 
     configs = commands.add_parser("configs", help="show a configuration, as JSON")
     configs.set_defaults(run=lambda given: print(_config(given).to_json()))
@@ -118,31 +125,17 @@ def _options(parser: argparse.ArgumentParser) -> None:
         action="append",
         default=[],
         metavar="NAME=VALUE",
-        help="an option of the task, e.g. grasp=approx; may be repeated",
+        help=f"an option of the task: {SYNTAX}; may be repeated",
     )
-
-
-def _values(assignments: list[str]) -> dict[str, Any]:
-    """Values by name; what is no JSON is a word."""
-    values: dict[str, Any] = {}
-    for assignment in assignments:
-        name, equals, text = assignment.partition("=")
-        if not equals:
-            raise refuse(InvalidOption, "assignment", assignment, "expected NAME=VALUE")
-        try:
-            values[name] = json.loads(text)
-        except ValueError:
-            values[name] = text
-    return values
 
 
 def _config(given: argparse.Namespace) -> Any:
     config = load(given.task, given.algo)
-    changes = _values(given.set)
+    changes = assignments(given.set, "--set")
     for name in ("epochs", "envs"):
         if getattr(given, name, None) is not None:
             changes[name] = getattr(given, name)
-    options = config.task_options | _values(given.option)
+    options = config.task_options | assignments(given.option)
     return config.but(**changes, task_options=options)
 
 
@@ -172,7 +165,7 @@ def _evaluate(given: argparse.Namespace) -> None:
     torch.set_num_threads(1)
     run = Run(given.run_folder)
     config, policy = run.config, run.policy(given.policy)
-    options = _values(given.option)
+    options = assignments(given.option)
     tested: dict[str | None, Any] = {None if options else AS_TRAINED: options}
     if given.conditions:
         tested.update(conditions(config))

@@ -6,7 +6,7 @@ import shlex
 from typing import Any
 
 from trocar.errors import InvalidRequest, refuse
-from trocar.registration import RATES, TASKS
+from trocar.registration import TASKS, schedule
 from trocar.rl.config import Config
 from trocar.rl.curves import assignment, changes
 from trocar.rl.runs import Run
@@ -58,7 +58,7 @@ def conditions(config: Config) -> dict[str, dict[str, Any]]:
     domain = config.task_options.get("domain", {})
     return {
         AS_TRAINED: {},
-        "twice the rate": {"rate": 2 * RATES[config.task]},
+        "twice the rate": {"rate": 2 * schedule(config.task)[1]},
         "60 ms late": {"domain": domain | {"latency_seconds": [0.06, 0.06]}},
         "noise 0.5 mm": {"domain": domain | {"action_noise": [0.0005, 0.0005]}},
     }

@@ -12,8 +12,8 @@ from dataclasses import asdict, dataclass, field, fields, replace
 from importlib import resources
 from typing import Any
 
-from trocar.errors import InvalidOption, UnknownTask, refuse
-from trocar.registration import NAMESPACE, RATES, TASKS
+from trocar.errors import InvalidOption, refuse
+from trocar.registration import NAMESPACE, SERVED, TASKS, schedule
 from trocar.rl.features import CONTACT, WORDS
 
 if sys.version_info >= (3, 11):
@@ -204,9 +204,8 @@ class Config:
     @property
     def steps(self) -> int:
         """Steps of an episode that lasts to its end."""
-        nominal = RATES.get(self.task, 5)
-        steps: int = round(TASKS[self.task] * self.task_options.get("rate", nominal) / nominal)
-        return steps
+        steps, nominal = schedule(self.task)
+        return round(steps * float(self.task_options.get("rate", nominal)) / nominal)
 
     @property
     def epoch_steps(self) -> int:
@@ -244,7 +243,10 @@ def load(task: str, algo: str | None = None) -> Config:
         ValueError: One of them is unknown, or they do not go together.
     """
     task = task_name(task)
-    algo = algo or BEST[task]
+    algo = algo or BEST.get(task)
+    if algo is None:
+        allowed = f"no algorithm is known to be best for {task}: name one of {list(ALGORITHMS)}"
+        raise refuse(InvalidOption, "algo", algo, allowed)
     if algo not in ALGORITHMS:
         raise refuse(InvalidOption, "algo", algo, f"allowed are {list(ALGORITHMS)}")
     text = resources.files(__package__).joinpath(f"configs/{algo}.toml").read_text()
@@ -256,9 +258,10 @@ def task_name(task: str) -> str:
     """The id without namespace of a task that may be named in short."""
     name = task.removeprefix(f"{NAMESPACE}/")
     for known in (name, f"{name}-v0"):
-        if known in TASKS:
+        if known in TASKS or known in SERVED:
             return known
-    raise refuse(UnknownTask, "task", task, f"allowed are {list(TASKS)}")
+    schedule(name)
+    return name
 
 
 def _tuples(values: dict[str, Any]) -> dict[str, Any]:

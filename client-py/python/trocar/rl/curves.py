@@ -17,7 +17,7 @@ from matplotlib.ticker import NullFormatter
 from numpy.typing import NDArray
 
 from trocar.errors import InvalidRequest, refuse
-from trocar.registration import TASKS
+from trocar.registration import SERVED, TASKS
 from trocar.rl.config import Config, load
 from trocar.rl.runs import Run
 
@@ -135,7 +135,7 @@ def plot(made: list[Curve], path: Path, *, minutes: bool = False) -> None:
             deviation over seeds, dark its error.
     """
     mpl.use("Agg")
-    tasks = [task for task in TASKS if any(curve.task == task for curve in made)]
+    tasks = [task for task in (*TASKS, *SERVED) if any(curve.task == task for curve in made)]
     columns = min(len(tasks), 5)
     rows = -(-len(tasks) // columns)
     figure = Figure(figsize=(3.6 * columns, 3.4 * rows), dpi=100, layout="constrained")

@@ -5,11 +5,12 @@ use std::path::Path;
 use anyhow::Context;
 use clap::{Args, ValueEnum};
 use indicatif::ProgressBar;
-use trocar_server::render::{Camera, Canvas, Picture, Renderer, Scene, Software};
+use trocar_proto::{OptionValue, Options};
+use trocar_server::render::{Camera, Canvas, Picture, Renderer, Software};
 
 use super::film;
 use super::image::Image;
-use super::moments::{self, Moment, Moments};
+use super::moments::{self, Moment, Moments, Sight};
 use super::place::{self, Place};
 use crate::exit::Exit;
 
@@ -103,7 +104,7 @@ impl Look {
         let stages: Vec<_> = episode.iter().map(|moment| moment.stage).collect();
         let chosen = moments::chosen(&stages, self.moments as usize);
         let pictures: Result<Vec<_>, _> =
-            chosen.into_iter().map(|index| self.picture(&episode[index].scene)).collect();
+            chosen.into_iter().map(|index| self.picture(&episode[index].sight)).collect();
         Ok(Image::beside(&pictures?, GAP))
     }
 
@@ -113,7 +114,7 @@ impl Look {
         let bar = ProgressBar::new((episodes.len() + film::SAMPLED) as u64);
         let draw = |index: usize| {
             bar.inc(1);
-            self.drawn(&FILM, &episodes[index].scene)
+            self.drawn(&FILM, &episodes[index].sight)
         };
         film::write(path, self.fps, episodes.len(), draw)?;
         bar.finish_and_clear();
@@ -121,11 +122,46 @@ impl Look {
     }
 
     /// All that is shown of one moment, side by side.
-    pub(crate) fn picture(&self, scene: &Scene) -> anyhow::Result<Image> {
-        self.drawn(&Software::fine(), scene)
+    pub(crate) fn picture(&self, sight: &Sight) -> anyhow::Result<Image> {
+        self.drawn(&Software::fine(), sight)
     }
 
-    fn drawn(&self, renderer: &Software, scene: &Scene) -> anyhow::Result<Image> {
+    /// Width and height of each picture, pixels.
+    pub(super) fn size(&self) -> [usize; 2] {
+        self.size
+    }
+
+    /// The cameras as options of a session's view, each with the index of its lens there.
+    pub(super) fn views(&self) -> anyhow::Result<Vec<(Options, usize)>> {
+        if self.show != [Layer::Rgb] {
+            let text = "--show: a server draws colours only; allowed is rgb";
+            return Err(Exit::Usage(text.into()).into());
+        }
+        let [width, height] = self.size.map(|pixels| pixels as f64);
+        let size = OptionValue::Numbers(vec![height, width]);
+        let view =
+            |camera| Options::new().with_text("camera", camera).with("image_size", size.clone());
+        if let (Some(eye), Some(target)) = (self.eye, self.target) {
+            let placed = view("placed")
+                .with("camera_eye", OptionValue::Numbers(eye.to_vec()))
+                .with("camera_target", OptionValue::Numbers(target.to_vec()))
+                .with("camera_view", OptionValue::Number(self.fov));
+            return Ok(vec![(placed, 0)]);
+        }
+        let of_place = |place: &Place| match place {
+            Place::Overview => (view("overview"), 0),
+            Place::Endoscope => (view("endoscope"), 0),
+            Place::Left => (view("stereo"), 0),
+            Place::Right => (view("stereo"), 1),
+        };
+        Ok(self.camera.iter().map(of_place).collect())
+    }
+
+    fn drawn(&self, renderer: &Software, sight: &Sight) -> anyhow::Result<Image> {
+        let scene = match sight {
+            Sight::Scene(scene) => scene,
+            Sight::Image(image) => return Ok(Image::clone(image)),
+        };
         let [width, height] = self.size;
         let cameras: Vec<Camera> = if let (Some(eye), Some(target)) = (self.eye, self.target) {
             vec![place::towards(eye, target, self.fov)?.camera(width, height)]

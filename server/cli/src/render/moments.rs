@@ -1,13 +1,32 @@
 //! The moments of an episode that are shown.
 
+use std::sync::Arc;
+
 use trocar_proto::Stage;
 use trocar_server::render::Scene;
 
+use super::image::Image;
+
 /// What there is to see at one moment.
 pub(crate) struct Moment {
-    pub(crate) scene: Scene,
+    pub(crate) sight: Sight,
     /// What the expert is about.
     pub(crate) stage: Stage,
+}
+
+/// The view of one moment.
+#[derive(Clone)]
+pub(crate) enum Sight {
+    /// A scene, to be drawn.
+    Scene(Box<Scene>),
+    /// A picture that a server drew.
+    Image(Arc<Image>),
+}
+
+impl From<Scene> for Sight {
+    fn from(scene: Scene) -> Self {
+        Self::Scene(scene.into())
+    }
 }
 
 /// Collects moments of an episode while it is played, part of a step by part.
@@ -46,9 +65,9 @@ impl Moments {
     }
 
     /// Takes the moment at the beginning of the episode, or at the end of the next part, if it is one of those.
-    pub(crate) fn see(&mut self, stage: Stage, scene: impl FnOnce() -> Scene) {
+    pub(crate) fn see<S: Into<Sight>>(&mut self, stage: Stage, sight: impl FnOnce() -> S) {
         if self.ends == (self.list.len() as f64 * self.every).round() as u64 {
-            self.list.push(Moment { scene: scene(), stage });
+            self.list.push(Moment { sight: sight().into(), stage });
         }
         self.ends += 1;
     }

@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 
+from trocar._assignments import SYNTAX, assignments
 from trocar.dvrk.__main__ import speed
 from trocar.dvrk.deploy import policy as policies
 from trocar.dvrk.deploy import robot as robots
@@ -49,8 +50,9 @@ def parser() -> argparse.ArgumentParser:
         "--option",
         action="append",
         default=[],
-        metavar="NAME=JSON",
-        help="an option of the task; those that the policy was trained with are set already",
+        metavar="NAME=VALUE",
+        help=f"an option of the task: {SYNTAX}; those that the policy was trained with are set "
+        "already",
     )
     parser.add_argument(
         "--robot",
@@ -152,20 +154,6 @@ LIMITS = (
     ("turn", "farthest that a wrist is turned in a step", "rad"),
     ("held-up", "how far off its set-point an arm counts as held up", "m"),
 )
-
-
-def options(given: Sequence[str]) -> dict[str, Any]:
-    """Options of the task: values are JSON, or plain words."""
-    found = {}
-    for assignment in given:
-        name, equals, value = assignment.partition("=")
-        if not equals:
-            raise refuse(InvalidOption, "--option", assignment, "NAME=VALUE was expected")
-        try:
-            found[name] = json.loads(value)
-        except ValueError:
-            found[name] = value
-    return found
 
 
 def finite(flag: str, text: str, allowed: str) -> tuple[float, ...]:
@@ -270,7 +258,7 @@ def made(given: argparse.Namespace, told: Any) -> Runner:
         check_folder(given.log)
     chosen = {flag.replace("-", "_"): getattr(given, flag.replace("-", "_")) for flag, *_ in LIMITS}
     limits = Limits(**chosen, box=given.box)
-    wanted = {**policy.options, **options(given.option)}
+    wanted = {**policy.options, **assignments(given.option)}
     task = Task.open(str(given.task or policy.task), server=given.server, **wanted)
     task = task if given.floor is None else floor(task, given.floor)
     policy.check(task.spec)
