@@ -190,11 +190,12 @@ impl Env {
     ) -> Self {
         let (action, observation, goal) =
             (spec.action_dim(), spec.observation_dim(), spec.goal_dim());
+        let substeps = rate::substeps(spec.seconds_per_step);
         Self {
-            substeps: rate::substeps(spec.seconds_per_step),
+            substeps,
             spec: Arc::new(options::shown(spec.clone(), &options)),
             beginning: if task.begins_prepared() {
-                Beginning::Starts(Arc::new(Starts::new(task.clone(), world.clone())))
+                Beginning::Starts(Arc::new(Starts::new(task.clone(), world.clone(), substeps)))
             } else {
                 Beginning::World(Arc::new(world.clone()))
             },
@@ -325,9 +326,8 @@ impl Env {
         match &self.beginning {
             Beginning::World(world) => self.world.clone_from(world),
             Beginning::Starts(starts) => {
-                let (task, world) = starts.draw(&mut rng);
-                self.task.clone_from(task);
-                self.world.clone_from(world);
+                let variation = Rng::variation(self.seed, self.episode);
+                starts.begin(&mut rng, &variation, &mut self.task, &mut self.world);
             }
         }
         self.task.reset(&mut self.world, &mut rng);

@@ -20,6 +20,7 @@ use super::world::{
     Shape, SoftId, World,
 };
 
+mod carry;
 mod jaws;
 mod posture;
 use jaws::SIDES;

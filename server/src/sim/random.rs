@@ -51,6 +51,13 @@ impl Rng {
         rng
     }
 
+    /// The generator of the same episode for the variation of its prepared start, independent of the others.
+    pub fn variation(seed: u64, episode: u64) -> Self {
+        let mut rng = Self::new(seed, episode);
+        rng.0.set_stream(5);
+        rng
+    }
+
     /// A generator for a few numbers that an episode draws besides, independent of this one, which goes on as
     /// if it had never been asked: randomising what they are for leaves the rest of the episode as it was.
     #[must_use]

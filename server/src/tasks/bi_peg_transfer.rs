@@ -123,7 +123,7 @@ use super::peg_board::{Block, Layout, PegBoard};
 use super::peg_expert::{self, Transfer};
 use super::psm_scene::{self, PaperAction, PsmArm, Station, Turn};
 use super::relative::Grasping;
-use super::start::{self, Start};
+use super::start::{self, Extent, Start};
 use super::theatre;
 use super::tray;
 use super::{Arms, Registered, State, Task};
@@ -164,6 +164,9 @@ const AS_GOOD: f64 = 0.1;
 
 /// Distance from the midline at which PSM1 waits, m.
 const WAITING: f64 = 0.025;
+
+/// Largest distance of PSM1 at the beginning from its prepared place along x, and along y away from PSM2, m.
+const WAITING_SHIFT: f64 = 3e-3;
 
 /// The task; see the module's description.
 #[derive(Debug, Clone)]
@@ -256,6 +259,36 @@ impl Task for BiPegTransfer {
         start::bring_about(self, world, rng, self.arms[0].rate(), Self::begin, |task, world| {
             task.fetching().progress(&task.arms[1], world) >= task.start
         });
+    }
+
+    fn vary(&mut self, world: &mut World, rng: &mut Rng, extent: Extent) -> Option<f64> {
+        let body = self.layout.block.body();
+        let (before, is_held) = (world.pose(body), self.arms[1].holds(world, body));
+        let growth = self.board.vary(world, &mut self.layout, rng, extent.objects);
+        let is_lifted = self.start == Start::Lift;
+        let fetching = self.fetching();
+        let held = (&before, growth);
+        let wrist = fetching.vary(&self.arms[1], world, held, is_lifted, rng, extent);
+        let widening = if is_held { growth } else { 1.0 };
+        let mut waiting = *self.arms[0].commanded();
+        waiting.translation.vector.x += extent.share * rng.uniform(-WAITING_SHIFT, WAITING_SHIFT);
+        waiting.translation.vector.y += extent.share * rng.uniform(0.0, WAITING_SHIFT);
+        let is_placed = self.arms[1].vary(world, rng, &wrist, widening)
+            && self.arms[0].vary_free(world, rng, &waiting);
+        if !is_placed || !self.arms[1].is_in_reach() {
+            return None;
+        }
+        if is_held {
+            world.set_velocity(body, &Vector3::zeros());
+        }
+        Some(self.board.settling(extent))
+    }
+
+    fn is_prepared(&self, world: &World) -> bool {
+        match self.start {
+            Start::Pick | Start::Lift => self.arms[1].holds(world, self.layout.block.body()),
+            Start::Approach | Start::Reset => self.arms[1].is_open(world),
+        }
     }
 
     fn reset(&mut self, world: &mut World, rng: &mut Rng) {

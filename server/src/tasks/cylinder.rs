@@ -60,9 +60,7 @@ impl Cylinder {
 
     /// Lets it stand on the pad, at rest: anywhere in the workspace, or `narrow`, near its middle.
     pub fn stand(&mut self, narrow: bool, world: &mut World, rng: &mut Rng) {
-        if let Some(variation) = self.domain.draw_variation(rng) {
-            self.object.vary(world, variation);
-        }
+        self.vary(world, rng);
         let outline = self.object.form().aabb(&Pose::identity());
         let mut along = |axis: usize| {
             let middle = WORKSPACE.centre()[axis];
@@ -76,6 +74,13 @@ impl Cylinder {
         let (x, y) = (along(0), along(1));
         let z = tray::pad().max.z + self.half_length();
         world.place(self.body(), &frames::pose([x, y, z], [0.0; 3]));
+    }
+
+    /// Draws mass and size of the episode, if they vary; it must be placed anew.
+    pub fn vary(&mut self, world: &mut World, rng: &Rng) {
+        if let Some(variation) = self.domain.draw_variation(rng) {
+            self.object.vary(world, variation);
+        }
     }
 
     /// Draws it.

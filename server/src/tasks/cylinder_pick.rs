@@ -140,8 +140,18 @@ impl Pickable for Cylinder {
         (world, Some(pad), cylinder)
     }
 
+    const NARROW: f64 = Cylinder::NARROW;
+
     fn body(&self) -> BodyId {
         Cylinder::body(self)
+    }
+
+    fn size(&self) -> f64 {
+        Cylinder::size(self)
+    }
+
+    fn vary(&mut self, world: &mut World, rng: &Rng) {
+        Cylinder::vary(self, world, rng);
     }
 
     fn support(&self) -> f64 {

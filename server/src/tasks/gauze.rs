@@ -16,10 +16,6 @@ use crate::sim::world::{BodyId, World};
 /// Origin of the tray, m: a little higher than with a pad in it. Source: the original.
 const TRAY_ORIGIN: [f64; 3] = [0.55, 0.0, 0.6781];
 
-/// `spawn = "narrow"`: how far the gauze is from the workspace's centre along x and y, m. Source: the
-/// original.
-const NARROW: f64 = 0.01;
-
 /// A world with table and tray, and the solver that the preset's objects need; and the pad in the tray, where
 /// `domain` has one that gives.
 pub fn furnished_world(preset: Preset, domain: Domain) -> (World, Option<Pad>) {
@@ -60,6 +56,10 @@ pub struct Gauze {
 impl Gauze {
     /// Mass under `preset = "surrol"`, kg. Source: the original.
     const SURROL_MASS: f64 = 0.05;
+
+    /// `spawn = "narrow"`: largest distance of its middle from the workspace's centre along x and y, m. Source: the
+    /// original.
+    pub const NARROW: f64 = 0.01;
 
     /// Its sizes with which the expert does its work: the pleat must fit the jaws.
     pub const SIZE: [f64; 2] = [0.8, 1.2];
@@ -102,8 +102,8 @@ impl Gauze {
     pub fn lay_near_the_middle(&mut self, world: &mut World, rng: &mut Rng) {
         self.vary(world, rng);
         let centre = WORKSPACE.centre();
-        let x = centre.x + rng.uniform(-NARROW, NARROW);
-        let y = centre.y + rng.uniform(-NARROW, NARROW);
+        let x = centre.x + rng.uniform(-Self::NARROW, Self::NARROW);
+        let y = centre.y + rng.uniform(-Self::NARROW, Self::NARROW);
         self.lay(world, x, y);
     }
 
@@ -115,6 +115,11 @@ impl Gauze {
             scene.add_model("tray", Model::tray(), &scene_from_tray());
         }
         self.object.draw(world, "gauze", scene);
+    }
+
+    /// How many times as large as the model it is in this episode.
+    pub fn size(&self) -> f64 {
+        self.object.form().size()
     }
 
     /// The middle of the crest of its pleat in the gauze, m.
@@ -133,7 +138,7 @@ impl Gauze {
     }
 
     /// Draws this episode's mass and size, where they vary.
-    fn vary(&mut self, world: &mut World, rng: &Rng) {
+    pub fn vary(&mut self, world: &mut World, rng: &Rng) {
         if let Some(variation) = self.domain.draw_variation(rng) {
             self.object.vary(world, variation);
         }

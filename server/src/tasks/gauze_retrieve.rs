@@ -153,8 +153,18 @@ impl Pickable for LyingGauze {
         (world, pad, Self { gauze, floor: gauze::floor(domain) })
     }
 
+    const NARROW: f64 = Gauze::NARROW;
+
     fn body(&self) -> BodyId {
         self.gauze.body()
+    }
+
+    fn size(&self) -> f64 {
+        self.gauze.size()
+    }
+
+    fn vary(&mut self, world: &mut World, rng: &Rng) {
+        self.gauze.vary(world, rng);
     }
 
     fn support(&self) -> f64 {

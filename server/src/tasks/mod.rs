@@ -36,6 +36,7 @@ use crate::sim::random::Rng;
 use crate::sim::world::{BodyId, World};
 
 pub use assignment::Assignment;
+pub use start::Extent;
 pub use state::State;
 pub use trocar_proto::builtin;
 
@@ -146,7 +147,21 @@ pub trait Task: CloneTask + Send + Sync + 'static {
         let _ = (world, rng);
     }
 
-    /// Begins an episode in a copy of the world, or in one of the prepared states.
+    /// Varies a prepared state by the episode of `rng`: other poses and the rows of `domain`. An episode of another
+    /// seed begins elsewhere. Returns the time in which the changed contacts come to rest, s; none if no such state
+    /// exists, after which the state is undefined.
+    fn vary(&mut self, world: &mut World, rng: &mut Rng, extent: Extent) -> Option<f64> {
+        let _ = (world, rng, extent);
+        Some(0.0)
+    }
+
+    /// True if a varied state is still a prepared one: a held object is held.
+    fn is_prepared(&self, world: &World) -> bool {
+        let _ = world;
+        true
+    }
+
+    /// Begins an episode in a copy of the world, or in a varied copy of a prepared state.
     fn reset(&mut self, world: &mut World, rng: &mut Rng);
 
     /// The free objects, by name. A reset may place them, unless episodes begin prepared.

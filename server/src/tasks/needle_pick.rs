@@ -108,10 +108,10 @@ use super::options::{Domain, Preset};
 use super::pad::Pad;
 use super::pick;
 use super::picking::{Pickable, Picking};
-use super::psm_scene::Turn;
+use super::psm_scene::{Turn, WORKSPACE};
 use super::tray::{self, Needle};
 use crate::render::Scene;
-use crate::sim::frames::Pose;
+use crate::sim::frames::{Aabb, Pose};
 use crate::sim::instrument::TIP_OFFSET;
 use crate::sim::random::Rng;
 use crate::sim::world::{BodyId, World};
@@ -148,8 +148,23 @@ impl Pickable for Needle {
         (world, Some(pad), needle)
     }
 
+    const NARROW: f64 = Needle::NARROW;
+
     fn body(&self) -> BodyId {
         Needle::body(self)
+    }
+
+    fn size(&self) -> f64 {
+        self.form().size()
+    }
+
+    fn vary(&mut self, world: &mut World, rng: &Rng) {
+        Needle::vary(self, world, rng);
+    }
+
+    fn area() -> Aabb {
+        let (pad, reach) = (tray::pad(), WORKSPACE);
+        Aabb { min: pad.min.sup(&reach.min), max: pad.max.inf(&reach.max) }
     }
 
     fn support(&self) -> f64 {

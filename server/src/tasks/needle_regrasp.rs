@@ -124,6 +124,7 @@ use super::psm_scene::{
     self, PITCH_LIMIT, PaperAction, PsmArm, Station, Turn, pitch_across, pitched,
 };
 use super::relative::{Grasping, Grip};
+use super::start::{self, Extent};
 use super::theatre;
 use super::tray::{self, Needle};
 use super::{Arms, Registered, State, Task, time};
@@ -197,6 +198,8 @@ pub struct NeedleRegrasp {
     by_nearness: bool,
     /// For how long, s, both arms have held the needle.
     together: f64,
+    /// True if episodes draw the needle's mass or size, or the friction of the jaws.
+    varies: bool,
     preset: Preset,
     goal: Vector3<f64>,
 }
@@ -213,7 +216,8 @@ impl Registered for NeedleRegrasp {
     fn new(options: &Options) -> Result<(Self, World), Rejection> {
         let preset = options::preset_of(options);
         let mut world = tray::furnished_world(preset);
-        let needle = Needle::insert(&mut world, preset, options::Domain::of(options)?);
+        let domain = options::Domain::of(options)?;
+        let needle = Needle::insert(&mut world, preset, domain);
         let mode = options::grasp_of(options);
         let grasp = Grasp::new(&mut world, mode, needle.body());
         let paper = PaperAction { turn: Turn::Pitch, jaw: true };
@@ -232,6 +236,7 @@ impl Registered for NeedleRegrasp {
             grasp,
             by_nearness: matches!(mode, GraspMode::Approx { .. }),
             together: 0.0,
+            varies: domain.varies_contacts(),
             preset,
             goal: Vector3::zeros(),
         };
@@ -277,6 +282,37 @@ impl Task for NeedleRegrasp {
             task = Self::INFO.id,
             "the needle does not stay in PSM1's hand at the start"
         );
+    }
+
+    fn vary(&mut self, world: &mut World, rng: &mut Rng, extent: Extent) -> Option<f64> {
+        let body = self.needle.body();
+        let (pose, wrist) = (world.pose(body), *self.arms[0].true_wrist());
+        let (before, size) = (self.places(world)[1].translation.vector, self.needle.form().size());
+        if extent.objects {
+            self.needle.vary(world, rng);
+        }
+        let growth = self.needle.form().size() / size;
+        // The grasped place stays, and then both go where the centre of the arc is as far as `extent` has it from the
+        // prepared place to any in its range.
+        let grown = Pose::from(before - self.places(world)[1].translation.vector) * pose;
+        let way = (draw_centre(rng) - grown.translation.vector) * extent.share;
+        world.place(body, &(Pose::from(way) * grown));
+        let [one, two] = &mut self.arms;
+        if !one.vary(world, rng, &(Pose::from(way) * wrist), growth) || !one.is_in_reach() {
+            return None;
+        }
+        two.reset(world, rng);
+        world.set_velocity(body, &Vector3::zeros());
+        Some(if extent.objects && self.varies {
+            start::SETTLING_OF_OBJECTS
+        } else {
+            start::SETTLING
+        })
+    }
+
+    fn is_prepared(&self, world: &World) -> bool {
+        self.arms[0].holds(world, self.needle.body())
+            && world.velocity(self.needle.body()).norm() < AT_REST
     }
 
     fn objects(&self) -> Vec<(&'static str, BodyId)> {
@@ -364,12 +400,7 @@ impl NeedleRegrasp {
             arm.reset(world, rng);
         }
         self.needle.vary(world, rng);
-        let [low, high] =
-            [WORKSPACES[0].min, WORKSPACES[0].max].map(|corner| corner + Vector3::z() * TIP_OFFSET);
-        let third = (high - low) / 3.0;
-        let at = Vector3::from_fn(|axis, _| {
-            rng.uniform(low[axis] + third[axis], high[axis] - third[axis])
-        });
+        let at = draw_centre(rng);
         let pitch = rng.uniform(NEEDLE_PITCH[0], NEEDLE_PITCH[1]);
         world.place(self.needle.body(), &frames::pose(at.into(), [0.0, pitch, 0.0]));
         self.grasp.reset(world, self.needle.body());
@@ -430,6 +461,14 @@ impl NeedleRegrasp {
             }
         }
     }
+}
+
+/// The centre of the arc of a needle in PSM1's hand at the beginning, m: anywhere in the middle third along each axis.
+fn draw_centre(rng: &mut Rng) -> Vector3<f64> {
+    let [low, high] =
+        [WORKSPACES[0].min, WORKSPACES[0].max].map(|corner| corner + Vector3::z() * TIP_OFFSET);
+    let third = (high - low) / 3.0;
+    Vector3::from_fn(|axis, _| rng.uniform(low[axis] + third[axis], high[axis] - third[axis]))
 }
 
 /// The wrist of `arm` whose jaws are about the wire at `place`.

@@ -68,10 +68,25 @@ impl Pad {
     pub fn bear(&self, world: &mut World, object: BodyId) {
         let Some(soft) = &self.soft else { return };
         let sag = soft.spring.sag(world.inertia(object).mass * GRAVITY);
+        self.sink(world, sag);
         let sink = Pose::translation(0.0, 0.0, -sag);
-        world.place(soft.plate.body(), &(sink * tray::scene_from_tray()));
         let laid = world.pose(object);
         world.place(object, &(sink * laid));
+    }
+
+    /// How far it is pressed in now, m.
+    pub fn sunk(&self, world: &World) -> f64 {
+        let height = |pose: &Pose| pose.translation.z;
+        self.soft.as_ref().map_or(0.0, |soft| {
+            height(&tray::scene_from_tray()) - height(&world.pose(soft.plate.body()))
+        })
+    }
+
+    /// Presses it in, at once; what lies on it must be placed anew. `depth`: m.
+    pub fn sink(&self, world: &mut World, depth: f64) {
+        let Some(soft) = &self.soft else { return };
+        let sink = Pose::translation(0.0, 0.0, -depth);
+        world.place(soft.plate.body(), &(sink * tray::scene_from_tray()));
     }
 
     /// How far jaws may be pressed into it, m.

@@ -3,7 +3,7 @@
 
 use std::f64::consts::PI;
 
-use nalgebra::Vector3;
+use nalgebra::{Point3, Vector3};
 use trocar_proto::Rejection;
 use trocar_proto::goal::SuccessRule;
 use trocar_proto::spec::GoalSpec;
@@ -11,6 +11,7 @@ use trocar_proto::spec::GoalSpec;
 use super::goal;
 use super::objects::{self, Object, THEATRE};
 use super::options::{self, Domain, Preset};
+use super::start::{self, Extent};
 use super::tray;
 use crate::assets::{Model, Scaled};
 use crate::render::Scene;
@@ -47,6 +48,12 @@ const OTHERS: [[f32; 3]; 5] = [
 /// Names of the blocks that stay.
 const OTHER_NAMES: [&str; 5] =
     ["other block 1", "other block 2", "other block 3", "other block 4", "other block 5"];
+
+/// Largest tilt of a block that stands about a peg, rad.
+const LEANING: f64 = 0.02;
+
+/// Deepest overlap of a block that is turned about its peg with its neighbours, m.
+const TOUCHING: f64 = 0.02e-3;
 
 /// How far a goal that is asked for may be from the middle of its peg, m.
 const AT_PEG: f64 = 1e-3;
@@ -105,6 +112,37 @@ impl Block {
     /// The box around its first wall, in the block, m.
     fn wall(&self) -> Aabb {
         self.form().parts().next().expect("a block has walls").aabb(&Pose::identity())
+    }
+
+    /// The middle of the upper edge of a wall (0, 1, 2) in the block, m.
+    fn edge(&self, wall: usize) -> Point3<f64> {
+        let middle = self.block_from_wall(wall).translation.vector;
+        Point3::from(middle + Vector3::z() * self.half_height())
+    }
+
+    /// Places a block whose lengths have grown by `growth`, and which was at `before`. It grows about the middle of the upper edge of
+    /// `wall` if it `is_lifted`, otherwise about the point of the board below. Then it is moved by `way`, m. Returns the
+    /// movement of the upper edge, m.
+    pub fn place_grown(
+        &self,
+        world: &mut World,
+        before: &Pose,
+        (wall, growth): (usize, f64),
+        is_lifted: bool,
+        way: &Vector3<f64>,
+    ) -> Vector3<f64> {
+        let at = |pose: &Pose, growth: f64| pose * (self.edge(wall) / growth);
+        let edge = at(before, growth);
+        let mut grown = *before;
+        if is_lifted {
+            grown.translation.vector += edge - at(before, 1.0);
+        } else {
+            let fixed = Vector3::new(edge.x, edge.y, PegBoard::top());
+            grown.translation.vector = fixed + (before.translation.vector - fixed) * growth;
+        }
+        grown.translation.vector += way;
+        world.place(self.body(), &grown);
+        at(&grown, 1.0) - edge
     }
 
     /// Stands the block on the board about peg `peg`, at rest, turned by `yaw` (rad).
@@ -223,6 +261,46 @@ impl PegBoard {
             block.stand(world, peg, rng.uniform(-YAW, YAW));
         }
         Layout { block: self.blocks[rng.index(self.blocks.len())], target }
+    }
+
+    /// Draws mass and size of the blocks, if they vary, and turns the blocks that stand about a peg beside the one of
+    /// `layout`; that one must be placed anew. Returns the factor on its lengths.
+    pub fn vary(
+        &mut self,
+        world: &mut World,
+        layout: &mut Layout,
+        rng: &mut Rng,
+        objects: bool,
+    ) -> f64 {
+        let body = layout.block.body();
+        let size = layout.block.form().size();
+        let variation = self.domain.draw_variation(rng).filter(|_| objects);
+        for block in &mut self.blocks {
+            if let Some(variation) = variation {
+                block.0.vary(world, variation);
+            }
+            if block.body() == body {
+                layout.block = *block;
+                continue;
+            }
+            let yaw = rng.uniform(-YAW, YAW);
+            let before = world.pose(block.body());
+            let is_upright = (before.rotation * Vector3::z()).z > libm::cos(LEANING);
+            let peg = SOURCES.into_iter().find(|peg| Self::is_on(world, *block, *peg));
+            let Some(peg) = peg.filter(|_| is_upright) else { continue };
+            block.stand(world, peg, yaw);
+            if world.overlap(block.body(), |_| true) > TOUCHING {
+                let [_, _, yaw] = frames::euler_xyz(&before.rotation);
+                block.stand(world, peg, yaw);
+            }
+        }
+        layout.block.form().size() / size
+    }
+
+    /// Time in which the contacts of a varied start come to rest, s.
+    pub fn settling(&self, extent: Extent) -> f64 {
+        let varies = extent.objects && self.domain.varies_contacts();
+        if varies { start::SETTLING_OF_OBJECTS } else { start::SETTLING }
     }
 
     /// A peg drawn from the targets.

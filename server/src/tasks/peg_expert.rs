@@ -12,8 +12,9 @@ use super::peg_board::{Block, PegBoard};
 use super::pick::jaws_across;
 use super::psm_scene::PsmArm;
 use super::relative::Grip;
-use super::start::Start;
+use super::start::{Extent, Start};
 use crate::sim::frames::Pose;
+use crate::sim::random::Rng;
 use crate::sim::instrument::{FINGER_HALF, JAW_CLOSED, JAW_OPEN, TIP_OFFSET};
 use crate::sim::world::World;
 
@@ -82,6 +83,14 @@ const SLIDES: f64 = 6e-3;
 const CATCHES: f64 = 2e-3;
 const ABOVE: f64 = 6e-3;
 
+/// Largest way of a block that begins lifted from its prepared place along x and y, m, and the distance of the wrist
+/// from the edge of its reach.
+const SHIFT: f64 = 0.015;
+const INSET: f64 = 2e-3;
+
+/// The same of a block that stands about its peg, m: there is room for 2.7 mm.
+const PLAY: f64 = 1e-3;
+
 /// A block that is to go to a target.
 #[derive(Debug, Clone, Copy)]
 pub struct Transfer {
@@ -102,11 +111,41 @@ impl Transfer {
             let passes = bottom(self.block, &block) - peg_top();
             return if passes >= 0.5 * PASS { Start::Lift } else { Start::Pick };
         }
-        let wrist = arm.scene_from_wrist();
-        let (grasp, _) = self.grasp(&block, wrist, |pose| arm.shortfall(&pose.translation.vector));
+        let wrist = arm.seen_wrist();
+        let (grasp, _) = self.grasp(&block, &wrist, |pose| arm.shortfall(&pose.translation.vector));
         let off = wrist.translation.vector - grasp.translation.vector;
         let about = off.xy().norm() < EXACTLY && off.z < LOW && arm.opening(world) > OPEN;
         if about { Start::Approach } else { Start::Reset }
+    }
+
+    /// Places the block of a prepared start, which has grown by `growth` and was at `before`, anew, and moves the wrist
+    /// with it. `is_lifted`: true if it hangs in the air.
+    pub fn vary(
+        &self,
+        arm: &PsmArm,
+        world: &mut World,
+        (before, growth): (&Pose, f64),
+        is_lifted: bool,
+        rng: &mut Rng,
+        extent: Extent,
+    ) -> Pose {
+        let mut wrist = *arm.true_wrist();
+        let mut draw = |low: f64, high: f64| rng.uniform(low.min(0.0), high.max(0.0));
+        let way = if is_lifted {
+            let (at, reach) = (wrist.translation.vector, arm.reach());
+            let mut along = |axis: usize| {
+                let low = (reach.min[axis] + INSET - at[axis]).max(-SHIFT);
+                draw(low, (reach.max[axis] - INSET - at[axis]).min(SHIFT))
+            };
+            Vector3::new(along(0), along(1), 0.0)
+        } else {
+            Vector3::new(draw(-PLAY, PLAY), draw(-PLAY, PLAY), 0.0)
+        };
+        let wall = held_wall(self.block, before, &wrist);
+        let way = way * extent.share;
+        wrist.translation.vector +=
+            self.block.place_grown(world, before, (wall, growth), is_lifted, &way);
+        wrist
     }
 
     /// What is done now: where the wrist goes for it, and the angle of the jaws, rad.

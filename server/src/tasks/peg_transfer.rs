@@ -111,7 +111,7 @@ use super::peg_board::{Block, Layout, PegBoard};
 use super::peg_expert::{self, Transfer};
 use super::psm_scene::{self, PaperAction, PsmArm, Station, Turn, WORKSPACE};
 use super::relative::Grasping;
-use super::start::{self, Start};
+use super::start::{self, Extent, Start};
 use super::theatre;
 use super::tray;
 use super::{Arms, Registered, State, Task};
@@ -200,6 +200,30 @@ impl Task for PegTransfer {
         start::bring_about(self, world, rng, self.arm.rate(), Self::begin, |task, world| {
             task.transfer().progress(&task.arm, world) >= task.start
         });
+    }
+
+    fn vary(&mut self, world: &mut World, rng: &mut Rng, extent: Extent) -> Option<f64> {
+        let body = self.layout.block.body();
+        let (before, is_held) = (world.pose(body), self.arm.holds(world, body));
+        let growth = self.board.vary(world, &mut self.layout, rng, extent.objects);
+        let is_lifted = self.start == Start::Lift;
+        let wrist =
+            self.transfer().vary(&self.arm, world, (&before, growth), is_lifted, rng, extent);
+        let widening = if is_held { growth } else { 1.0 };
+        if !self.arm.vary(world, rng, &wrist, widening) || !self.arm.is_in_reach() {
+            return None;
+        }
+        if is_held {
+            world.set_velocity(body, &Vector3::zeros());
+        }
+        Some(self.board.settling(extent))
+    }
+
+    fn is_prepared(&self, world: &World) -> bool {
+        match self.start {
+            Start::Pick | Start::Lift => self.arm.holds(world, self.layout.block.body()),
+            Start::Approach | Start::Reset => self.arm.is_open(world),
+        }
     }
 
     fn reset(&mut self, world: &mut World, rng: &mut Rng) {

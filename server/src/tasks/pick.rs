@@ -77,7 +77,7 @@ impl Pick {
         if arm.holds(world, self.object) {
             if self.is_high() { Start::Lift } else { Start::Pick }
         } else {
-            let off = arm.scene_from_wrist().translation.vector - self.grasp.translation.vector;
+            let off = arm.seen_wrist().translation.vector - self.grasp.translation.vector;
             let about = off.norm() < EXACTLY && arm.opening(world) > OPEN;
             if about { Start::Approach } else { Start::Reset }
         }

@@ -15,11 +15,11 @@ use super::pad::Pad;
 use super::pick::Pick;
 use super::psm_scene::{self, PaperAction, PsmArm, Station, Turn, WORKSPACE};
 use super::relative::{Grasping, Grip};
-use super::start::{self, Start};
+use super::start::{self, Extent, Start};
 use super::theatre;
 use super::{Arms, Registered, State, Task};
 use crate::render::Scene;
-use crate::sim::frames::Pose;
+use crate::sim::frames::{Aabb, Pose};
 use crate::sim::grasp::Grasp;
 use crate::sim::instrument::TIP_OFFSET;
 use crate::sim::random::Rng;
@@ -48,8 +48,22 @@ pub trait Pickable: Clone + Send + Sync + 'static {
     /// The world in which it lies, with it; and the pad under it, where there is one.
     fn furnish(preset: Preset, domain: Domain) -> (World, Option<Pad>, Self);
 
+    /// Half the side of the square about the workspace's centre in which its origin lies under `spawn = "narrow"`, m.
+    const NARROW: f64;
+
     /// Its body.
     fn body(&self) -> BodyId;
+
+    /// Factor on its lengths in this episode.
+    fn size(&self) -> f64;
+
+    /// Draws mass and size of the episode, if they vary; it must be placed anew.
+    fn vary(&mut self, world: &mut World, rng: &Rng);
+
+    /// The area in which it lies at the beginning of an episode.
+    fn area() -> Aabb {
+        WORKSPACE
+    }
 
     /// Height of what lies under it, m.
     fn support(&self) -> f64;
@@ -94,6 +108,8 @@ pub struct Picking<O> {
     grasp: Grasp,
     start: Start,
     narrow: bool,
+    /// True if episodes draw the object's mass or size, or how the pad gives.
+    varies: bool,
     preset: Preset,
     pub(super) goal: Vector3<f64>,
 }
@@ -120,6 +136,7 @@ impl<O: Pickable> Registered for Picking<O> {
             grasp,
             start: Start::of(options),
             narrow: options.text("spawn") == Some("narrow"),
+            varies: Domain::of(options)?.varies_contacts(),
             preset,
             goal: Vector3::zeros(),
         };
@@ -154,11 +171,55 @@ impl<O: Pickable> Task for Picking<O> {
     }
 
     fn prepare(&mut self, world: &mut World, rng: &mut Rng) {
-        start::bring_about(self, world, rng, self.arm.rate(), Self::begin, |task, world| {
-            let wrist = task.arm.scene_from_wrist();
-            let pick = task.pick(world, wrist, &ExpertInput::default());
-            pick.progress(&task.arm, world) >= task.start
-        });
+        let is_there = |task: &Self, world: &World| task.progress(world) >= task.start;
+        start::bring_about(self, world, rng, self.arm.rate(), Self::begin, is_there);
+    }
+
+    fn vary(&mut self, world: &mut World, rng: &mut Rng, extent: Extent) -> Option<f64> {
+        let body = self.object.body();
+        let (mut wrist, pose) = (*self.arm.true_wrist(), world.pose(body));
+        let is_held = self.arm.holds(world, body);
+        let (before, size) = (self.grasp_place(world, &wrist), self.object.size());
+        if extent.objects {
+            self.object.vary(world, rng);
+        }
+        let growth = self.object.size() / size;
+        // The pad is pressed in by the same part of its travel.
+        let sunk = self.pad.as_ref().map_or(0.0, |pad| pad.sunk(world));
+        let mut sinks = sunk;
+        if let Some(pad) = self.pad.as_mut().filter(|_| extent.objects) {
+            let travel = pad.depth();
+            pad.vary(world, rng);
+            sinks *= if travel > 0.0 { pad.depth() / travel } else { 0.0 };
+            self.arm.give(pad.depth());
+            pad.sink(world, sinks);
+        }
+        // It grows about the point of the support below the grasp; if it is lifted, about the grasp.
+        let fixed = Vector3::new(before.x, before.y, self.object.support() - sunk);
+        let grown = fixed + (pose.translation.vector - fixed) * growth;
+        let grown = Pose::from_parts((grown + Vector3::z() * (sunk - sinks)).into(), pose.rotation);
+        world.place(body, &grown);
+        let mut way = self.draw_shift(world, rng) * extent.share;
+        if self.start == Start::Lift {
+            way += before - self.grasp_place(world, &wrist);
+        }
+        world.place(body, &(Pose::from(way) * grown));
+        wrist.translation.vector += self.grasp_place(world, &wrist) - before;
+        let widening = if is_held { growth } else { 1.0 };
+        if !self.arm.vary(world, rng, &wrist, widening) || !self.arm.is_in_reach() {
+            return None;
+        }
+        if is_held {
+            world.set_velocity(body, &Vector3::zeros());
+        }
+        Some(if extent.objects && self.varies { start::SETTLING_OF_OBJECTS } else { start::SETTLING })
+    }
+
+    fn is_prepared(&self, world: &World) -> bool {
+        match self.start {
+            Start::Pick | Start::Lift => self.arm.holds(world, self.object.body()),
+            Start::Approach | Start::Reset => self.arm.is_open(world),
+        }
     }
 
     fn reset(&mut self, world: &mut World, rng: &mut Rng) {
@@ -244,6 +305,35 @@ impl<O: Pickable> Picking<O> {
         } else {
             objects::goal_anywhere(O::lowest_goal(), rng)
         }
+    }
+
+    /// The work that is done.
+    fn progress(&self, world: &World) -> Start {
+        let pick = self.pick(world, &self.arm.seen_wrist(), &ExpertInput::default());
+        pick.progress(&self.arm, world)
+    }
+
+    /// The wrist that grasps the object, m.
+    fn grasp_place(&self, world: &World, wrist: &Pose) -> Vector3<f64> {
+        let input = ExpertInput::default();
+        self.object.grasp(world, self.pad.as_ref(), wrist, &input).0.translation.vector
+    }
+
+    /// A level way that brings the object to another place at which it may lie, m.
+    fn draw_shift(&self, world: &World, rng: &mut Rng) -> Vector3<f64> {
+        let body = self.object.body();
+        let (at, bounds, area) = (world.pose(body).translation, world.bounds(body), O::area());
+        let mut along = |axis: usize| {
+            let [low, high] = if self.narrow {
+                let middle = WORKSPACE.centre()[axis] - at.vector[axis];
+                [middle - O::NARROW, middle + O::NARROW]
+            } else {
+                [area.min[axis] - bounds.min[axis], area.max[axis] - bounds.max[axis]]
+            };
+            rng.uniform(low.min(0.0), high.max(0.0))
+        };
+        let (x, y) = (along(0), along(1));
+        Vector3::new(x, y, 0.0)
     }
 
     /// What is to be done now by an arm with its wrist at `wrist`.

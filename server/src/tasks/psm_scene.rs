@@ -52,7 +52,7 @@ use crate::render::skeleton::Skeleton;
 use crate::render::{Jaws, Scene};
 use crate::robots::{ArmModel, Axes, Drivetrain, Psm};
 use crate::sim::frames::{self, Aabb, Pose};
-use crate::sim::instrument::{self, Instrument, JAW_CLOSED, Jaws as Fingers, Posture, TIP_OFFSET};
+use crate::sim::instrument::{self, Instrument, JAW_CLOSED, JAW_OPEN, Jaws as Fingers, Posture, TIP_OFFSET};
 use crate::sim::motion::Profile;
 use crate::sim::random::Rng;
 use crate::sim::world::{BodyId, SoftId, World};
@@ -67,6 +67,7 @@ mod place;
 mod placing;
 #[cfg(test)]
 mod tests;
+mod varying;
 
 use command::Commanded;
 pub use command::{command, settle};
@@ -320,6 +321,17 @@ impl PsmArm {
 
     /// Brings the arm to its start and draws this episode's errors of the arm and friction of the jaws.
     pub fn reset(&mut self, world: &mut World, rng: &mut Rng) {
+        self.draw_episode(world, rng);
+        self.joints = self.start_joints;
+        self.scene_from_wrist = self.start;
+        let world_from_wrist = self.pose_of(&self.true_joints());
+        self.instrument.detach(world);
+        self.instrument.place(Posture { world_from_wrist, jaw: JAW_CLOSED });
+        self.stay();
+    }
+
+    /// Draws this episode's errors of the arm and friction of the jaws.
+    fn draw_episode(&mut self, world: &mut World, rng: &mut Rng) {
         if let Some(friction) = self.friction.draw_if_given(rng) {
             self.instrument.set_friction(world, friction);
         }
@@ -328,12 +340,6 @@ impl PsmArm {
             offsets[joint] = self.joint_offset.draw(rng);
         }
         self.draw_errors(offsets, rng);
-        self.joints = self.start_joints;
-        self.scene_from_wrist = self.start;
-        let world_from_wrist = self.pose_of(&self.true_joints());
-        self.instrument.detach(world);
-        self.instrument.place(Posture { world_from_wrist, jaw: JAW_CLOSED });
-        self.stay();
     }
 
     /// Says how far the jaws may be pressed into what lies under them, m.
@@ -487,6 +493,11 @@ impl PsmArm {
     /// How far the jaws are open, rad.
     pub fn opening(&self, world: &World) -> f64 {
         self.instrument.opening(world)
+    }
+
+    /// True if the jaws are open, or held by an object for which they closed already.
+    pub(super) fn is_open(&self, world: &World) -> bool {
+        self.opening(world) > 0.9 * JAW_OPEN || self.commanded.jaw <= JAW_CLOSED
     }
 
     /// Whether both fingers press on `object`.

@@ -1,8 +1,12 @@
 //! Episodes that begin with a part of the work done: states that need physics to come about.
 //!
-//! A session has [`COUNT`] of them for its task and options. Each is made when it is first needed, by
-//! letting the scripted expert do that part, and is the same wherever it is made; the seed of an
-//! episode chooses one.
+//! A session has [`COUNT`] of them for its task and options. Each is made when it is first needed, by letting the
+//! scripted expert do that part. A prepared state depends on its number only.
+//!
+//! The seed of an episode chooses a state and varies it: jaws and object move together to another place, and the rows
+//! of `domain` are drawn anew, for an object that is held already as well. Afterwards contacts come to rest, in at
+//! most two steps. A variation is valid if the object stays where the jaws brought it, at rest, without a new overlap.
+//! Otherwise the next attempt has a smaller extent; see [`Extent`].
 
 use std::sync::OnceLock;
 
@@ -10,10 +14,11 @@ use trocar_proto::Options;
 use trocar_proto::spec::OptionSpec;
 
 use super::expert::ExpertInput;
-use super::rate::Rate;
+use super::rate::{self, Rate};
 use super::{Registered, Task, time};
+use crate::sim::frames::Pose;
 use crate::sim::random::Rng;
-use crate::sim::world::World;
+use crate::sim::world::{BodyId, World};
 
 /// How many different states episodes begin in.
 pub const COUNT: usize = 64;
@@ -86,29 +91,177 @@ pub fn bring_about<T: Registered>(
     );
 }
 
-/// A task in its world, where episodes begin.
-type State = (Box<dyn Task>, World);
+/// Extent of the variation of a prepared state.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Extent {
+    /// Share of the whole range of poses, 0 to 1.
+    pub share: f64,
+    /// True if objects draw their mass and size, and pads their stiffness; otherwise they keep those of the
+    /// prepared state.
+    pub objects: bool,
+}
 
-/// The states in which episodes begin.
+/// Extents of successive attempts: poses close to the prepared one need less room.
+const EXTENTS: [Extent; 4] = [
+    Extent { share: 1.0, objects: true },
+    Extent { share: 0.5, objects: true },
+    Extent { share: 0.1, objects: true },
+    Extent { share: 0.1, objects: false },
+];
+
+/// Time in which contacts come to rest if a held object only moves together with the jaws, s.
+pub(super) const SETTLING: f64 = 0.05;
+
+/// The same if the object's size or mass is another, s.
+pub(super) const SETTLING_OF_OBJECTS: f64 = 0.1;
+
+/// Longest time in which contacts come to rest, s: two steps.
+const MAX_SETTLING_TIME: f64 = 0.4;
+
+/// Largest speed of an object at the beginning of an episode, m/s.
+const MAX_SPEED: f64 = 5e-3;
+
+/// Largest movement of an object while contacts come to rest: m and rad.
+const MAX_SETTLING: [f64; 2] = [2e-3, 0.15];
+
+/// Overlaps up to this depth are allowed, m, and up to as much more than in the prepared state.
+const MAX_OVERLAP: f64 = 0.1e-3;
+const MAX_MORE_OVERLAP: f64 = 0.02e-3;
+
+/// The object overlaps its fingers at most this deep, m: contacts give in by as much.
+const MAX_SQUEEZED: f64 = 0.3e-3;
+
+/// Measures of a state by which its contacts are judged.
+struct Contacts {
+    /// Deepest overlap of the main object with everything but instruments, m.
+    object: f64,
+    /// Deepest overlap of an instrument with fixed bodies, m.
+    instruments: f64,
+    /// Clearance of two instruments, m.
+    gap: f64,
+}
+
+impl Contacts {
+    fn of(task: &mut dyn Task, world: &World) -> Self {
+        let object = task.objects().first().map(|(_, body)| *body);
+        let mut arms = task.arms();
+        let instruments = arms.iter_mut().map(|arm| arm.instrument().static_overlap(world));
+        let instruments = instruments.fold(0.0, f64::max);
+        let gap = match arms.as_slice() {
+            [one, other] => one.gap(other),
+            _ => f64::INFINITY,
+        };
+        let mut own = |body| arms.iter_mut().any(|arm| arm.instrument().has_body(body));
+        let others: Vec<_> =
+            world.bodies().map(|solid| solid.body).filter(|body| own(*body)).collect();
+        let object =
+            object.map_or(0.0, |object| world.overlap(object, |other| !others.contains(&other)));
+        Self { object, instruments, gap }
+    }
+
+    fn allows(&self, varied: &Self) -> bool {
+        let most = |depth: f64| MAX_OVERLAP.max(depth + MAX_MORE_OVERLAP);
+        varied.object <= most(self.object)
+            && varied.instruments <= most(self.instruments)
+            && varied.gap >= self.gap.min(0.0)
+    }
+}
+
+/// A task in its world, where episodes begin.
+struct State {
+    task: Box<dyn Task>,
+    world: World,
+    contacts: Contacts,
+    /// Deepest overlap of a free object, m.
+    overlap: f64,
+}
+
+/// The prepared states, from which episodes begin.
 pub(crate) struct Starts {
     task: Box<dyn Task>,
     world: World,
+    /// Substeps of a step.
+    substeps: u32,
     states: Box<[OnceLock<State>]>,
 }
 
 impl Starts {
-    /// The states of `task` in `world`; none is made yet.
-    pub(crate) fn new(task: Box<dyn Task>, world: World) -> Self {
-        Self { task, world, states: (0..COUNT).map(|_| OnceLock::new()).collect() }
+    /// The states of `task`, whose steps have so many substeps, in `world`; none is made yet.
+    pub(crate) fn new(task: Box<dyn Task>, world: World, substeps: u32) -> Self {
+        Self { task, world, substeps, states: (0..COUNT).map(|_| OnceLock::new()).collect() }
     }
 
-    /// One of the states.
-    pub(crate) fn draw(&self, rng: &mut Rng) -> &State {
-        let index = rng.index(COUNT);
+    /// Brings `task` and `world` to the beginning of an episode: one of the states, which `rng` draws, varied by
+    /// `variation`. A state of which no variation is valid stays as it is.
+    pub(crate) fn begin(
+        &self,
+        rng: &mut Rng,
+        variation: &Rng,
+        task: &mut Box<dyn Task>,
+        world: &mut World,
+    ) {
+        let state = self.state(rng.index(COUNT));
+        for extent in EXTENTS {
+            task.clone_from(&state.task);
+            world.clone_from(&state.world);
+            if self.vary(state, task.as_mut(), world, variation.clone(), extent) {
+                return;
+            }
+        }
+        tracing::debug!("no variation of the prepared start is valid");
+        task.clone_from(&state.task);
+        world.clone_from(&state.world);
+    }
+
+    fn state(&self, index: usize) -> &State {
         self.states[index].get_or_init(|| {
             let (mut task, mut world) = (self.task.clone(), self.world.clone());
             task.prepare(&mut world, &mut Rng::start(index as u64));
-            (task, world)
+            let contacts = Contacts::of(task.as_mut(), &world);
+            let overlap = world.deepest_overlap();
+            State { task, world, contacts, overlap }
         })
+    }
+
+    /// Varies a copy of `state`; false if the result is no valid beginning.
+    fn vary(
+        &self,
+        state: &State,
+        task: &mut dyn Task,
+        world: &mut World,
+        mut variation: Rng,
+        extent: Extent,
+    ) -> bool {
+        let Some(settling) = task.vary(world, &mut variation, extent) else { return false };
+        if !state.contacts.allows(&Contacts::of(task, world)) {
+            return false;
+        }
+        let objects: Vec<_> = world.objects().map(|body| (body, world.pose(body))).collect();
+        let mut left = rate::substeps(settling);
+        let [chunk, longest] = [SETTLING, MAX_SETTLING_TIME].map(rate::substeps);
+        let mut passed = 0;
+        let is_fast =
+            |world: &World| world.objects().any(|body| world.velocity(body).norm() >= MAX_SPEED);
+        while left > 0 || passed < longest && is_fast(world) {
+            let part = left.max(chunk).min(self.substeps);
+            let mut time = time::Time::default();
+            time.command(task, world, None, self.substeps);
+            time.pass(task, world, part);
+            time.sense(task);
+            task.after_step(world);
+            left = left.saturating_sub(part);
+            passed += part;
+        }
+        let rests = |(body, before): &(BodyId, Pose)| {
+            let moved = before.inv_mul(&world.pose(*body));
+            moved.translation.vector.norm() < MAX_SETTLING[0]
+                && moved.rotation.angle() < MAX_SETTLING[1]
+                && world.velocity(*body).norm() < MAX_SPEED
+        };
+        world.is_finite()
+            && objects.iter().all(rests)
+            && world.deepest_overlap() <= MAX_SQUEEZED.max(state.overlap + MAX_MORE_OVERLAP)
+            && task.is_prepared(world)
+            && state.contacts.allows(&Contacts::of(task, world))
     }
 }

@@ -19,10 +19,6 @@ const TABLE_ORIGIN: [f64; 3] = [0.5, 0.0, 0.001];
 /// Origin of the tray and of the pad in it, m. Source: the original.
 const TRAY_ORIGIN: [f64; 3] = [0.55, 0.0, 0.6751];
 
-/// `spawn = "narrow"`: how far an object is from the workspace's centre along x and y, m. Source: the
-/// original.
-const NARROW: f64 = 0.01;
-
 /// A world with the table, and the solver that the preset's objects need.
 pub fn bare_table(preset: Preset) -> World {
     let mut world = World::new(match preset {
@@ -90,6 +86,10 @@ impl Needle {
     /// Mass under `preset = "surrol"`, kg. Source: the original.
     const SURROL_MASS: f64 = 0.01;
 
+    /// `spawn = "narrow"`: largest distance of the circle's centre from the workspace's along x and y, m. Source: the
+    /// original.
+    pub const NARROW: f64 = 0.01;
+
     /// Its sizes with which experts do their work: the wire must fit the jaws, the arc the pad.
     pub const SIZE: [f64; 2] = [0.8, 1.2];
 
@@ -147,8 +147,8 @@ impl Needle {
     pub fn lay_near_the_middle(&mut self, world: &mut World, rng: &mut Rng) {
         self.vary(world, rng);
         let centre = WORKSPACE.centre();
-        let x = centre.x + rng.uniform(-NARROW, NARROW);
-        let y = centre.y + rng.uniform(-NARROW, NARROW);
+        let x = centre.x + rng.uniform(-Self::NARROW, Self::NARROW);
+        let y = centre.y + rng.uniform(-Self::NARROW, Self::NARROW);
         let yaw = rng.uniform(-FRAC_PI_2, FRAC_PI_2);
         self.lay(world, x, y, yaw);
     }

@@ -66,6 +66,11 @@ impl PsmArm {
         Pose::from_parts((tip.coords - *jaws * TIP_OFFSET).into(), rotation)
     }
 
+    /// The true wrist as an expert counts with it.
+    pub fn seen_wrist(&self) -> Pose {
+        self.as_upright_as(&self.scene_from_wrist, self.true_wrist())
+    }
+
     /// The path of the instrument while its motors are told to go to `end`, from where they were told to be: past where
     /// the command `before` asked the arm to be, where commands come more often than at the nominal rate.
     pub(super) fn stream(&mut self, before: &Commanded, end: &Axes) -> Profile {
