@@ -315,6 +315,32 @@ fn an_arm_that_is_held_up_stops_and_comes_away_at_once() {
 }
 
 #[test]
+fn floor_and_walls_stop_an_instrument_in_the_world_of_every_task() {
+    /// The tray's floor and the tops of all tables are higher, m.
+    const FLOOR: f64 = 0.673;
+    let registry = Registry::builtin();
+    for id in registry.ids() {
+        let mut script = Script::new(make(id, 0, Homing::ToZero));
+        if script.world.arm("PSM1").is_none() {
+            let names: Vec<_> = script.world.arms().map(ArmController::name).collect();
+            assert_eq!(names, ["ECM"], "{id}: the endoscope's arm touches nothing");
+            continue;
+        }
+        script.enable_and_home("PSM1");
+        // Down, and then to both sides, into the tray's walls.
+        for yaw in [0.0, 0.6, -0.6] {
+            script.wait("PSM1", &Command::MoveJp(vec![yaw, 0.0, 0.235, 0.0, 0.0, 0.0]));
+            script.run(0.5);
+            let wrist = script.wrist("PSM1").translation.vector;
+            assert!(wrist.z > FLOOR, "{id}: the wrist is at {wrist}");
+            if script.state("PSM1").state == State::Fault {
+                script.enable_and_home("PSM1");
+            }
+        }
+    }
+}
+
+#[test]
 fn a_jump_that_an_arm_does_not_follow_faults_it() {
     let mut script = Script::new(make("NeedlePick-v0", 0, Homing::ToZero));
     script.enable_and_home("PSM1");

@@ -290,9 +290,9 @@ impl Instrument {
 
     /// Whether it meets nothing in the volume that it sweeps.
     pub(super) fn has_free_way(&self, world: &World, swept: &Aabb) -> bool {
-        // Nothing fixed moves what is driven.
-        let meets_static = self.grips() && world.static_in(swept);
-        self.attached.is_none() && !world.object_in(&swept.grown(MARGIN)) && !meets_static
+        self.attached.is_none()
+            && !world.object_in(&swept.grown(MARGIN))
+            && !world.static_in(swept)
     }
 
     /// Whether gripping jaws that sweep a volume in a substep are out of reach of all objects and of
@@ -304,10 +304,10 @@ impl Instrument {
             && !world.static_in(swept)
     }
 
-    /// Where static bodies stop it on its way to `next`: where wrist or fingers, as they are, would be deeper
-    /// in it than now.
+    /// Deepest overlap with static bodies at `next`, if the overlap is larger than now: static bodies stop wrist and
+    /// fingers there, also if the fingers are locked.
     pub(super) fn stopped_by(&self, world: &World, next: &Posture) -> Option<Overlap> {
-        if !self.grips() || self.stale {
+        if self.stale {
             return None;
         }
         let motion = next.world_from_wrist * self.posture.world_from_wrist.inverse();

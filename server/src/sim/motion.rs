@@ -3,7 +3,7 @@
 //! A [`Motion`] is that of all instruments of a task at the same time. [`Motion::advance`] lets one substep pass
 //! for them and for the world. [`Motion::pass`] lets several pass, and knows **quiescence**: every free object
 //! sleeps, and the volumes that the instruments sweep, jaws as they are and as they are to be, meet no
-//! object, no static body (where they grip) and not each other. Then nothing else would change: it moves the
+//! object, no static body and not each other. Then nothing else would change: it moves the
 //! instruments alone, and the world needs no substep. Where objects do move, an instrument that none can meet
 //! in a substep takes no part in it.
 

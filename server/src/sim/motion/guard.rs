@@ -9,8 +9,8 @@
 //!   also skin of tissue that is held, or too deep in the instrument.
 //! - **Crush**: jaws that press too deep into what they hold open: what they close on near their hinge
 //!   they would squeeze with many times their force at the tip, and keep.
-//! - **Static bodies** stop an instrument that grips before wrist or fingers are in them: fingers give way to
-//!   what they close on, not to what they are pushed into.
+//! - **Static bodies** stop every instrument before wrist or fingers enter them, also if the fingers are locked.
+//!   Fingers yield to the body on which they close, not to a body into which the wrist pushes them.
 //! - **Distance**: the shafts of two instruments, which nothing else keeps apart, wait where they
 //!   would come closer than they are thick.
 
