@@ -80,7 +80,7 @@ pictures: ## assets/pictures: every task, also in both looks; films of experts; 
 RUNS ?= runs
 .PHONY: policies
 policies: .venv-rl/ready ## * assets/policies: the best policies of the runs in RUNS, which were evaluated, as ONNX with cards
-	$(RL_BIN)/python -m trocar.rl best $(RUNS) --out assets/policies
+	$(RL_BIN)/python -m trocar.rl best --trust $(RUNS) --out assets/policies
 
 # What `experts_do_as_well_as_the_table_says_and_stay_in_bounds` expects.
 # TROCAR_TASK=NeedlePick-v0: only its rows.

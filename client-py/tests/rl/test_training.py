@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+import base64
 import json
 import shlex
 import shutil
 import subprocess
 import sys
+import zipfile
 from pathlib import Path
 from typing import Any
 
+import cloudpickle  # type: ignore[import-untyped]
 import numpy as np
 import onnx
 import pytest
+import torch
 from onnx.reference import ReferenceEvaluator
 
 import trocar
@@ -106,9 +110,12 @@ def test_it_learns_the_same_again_and_after_an_interruption(
     with pytest.raises(ValueError, match="resume"):
         train(config, 1, out=tmp_path / "two", server=server, say=quietly)
     other = config.but(norm_clip=4.0)
+    again: dict[str, Any] = {"resume": True, "trust": True}
     with pytest.raises(ValueError, match="norm_clip"):
-        train(other, 1, out=tmp_path / "two", server=server, resume=True, say=quietly)
-    resumed = train(config, 1, out=tmp_path / "two", server=server, resume=True, say=quietly)
+        train(other, 1, out=tmp_path / "two", server=server, say=quietly, **again)
+    resumed = train(
+        config, 1, out=tmp_path / "two", server=server, resume=True, trust=True, say=quietly
+    )
     assert curve(resumed) == rows
     if algo == "her":
         elsewhere = train(config, 2, out=tmp_path / "two", server=server, say=quietly)
@@ -202,12 +209,12 @@ def test_evaluation_says_how_sure_it_is(
     trained: Run, server: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     flags = ["--episodes", "12", "--envs", "5", "--server", server]
-    assert main(["evaluate", str(trained.path), *flags]) == 0
+    assert main(["evaluate", "--trust", str(trained.path), *flags]) == 0
     said = json.loads(capsys.readouterr().out)
     assert (said["task"], said["episodes"], said["seed"]) == ("NeedleReach-v0", 12, 2_000_000)
     assert said["confidence_95"] == list(wilson(round(12 * said["success_rate"]), 12))
     # However many at a time: the same episodes.
-    assert main(["evaluate", str(trained.path), *flags[:2], "--server", server]) == 0
+    assert main(["evaluate", "--trust", str(trained.path), *flags[:2], "--server", server]) == 0
     assert json.loads(capsys.readouterr().out) == said
 
 
@@ -217,11 +224,11 @@ def test_cards_and_pages_say_what_was_measured(
     config = small("her", epochs=1).but(noise=0.125, task_options={"spawn": "narrow"})
     run = train(config, 7, out=tmp_path / "runs", server=server, say=quietly)
     onnx_file = str(tmp_path / "policy.onnx")
-    export_it = ["export", str(run.path), "--card", "--out", onnx_file]
+    export_it = ["export", "--trust", str(run.path), "--card", "--out", onnx_file]
     assert main(export_it) == 2
     assert "evaluate" in capsys.readouterr().err
     flags = ["--episodes", "4", "--server", server, "--conditions"]
-    assert main(["evaluate", str(run.path), *flags]) == 0
+    assert main(["evaluate", "--trust", str(run.path), *flags]) == 0
     said = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
     names = ["as trained", "twice the rate", "60 ms late", "noise 0.5 mm"]
     assert [told["condition"] for told in said] == names
@@ -242,14 +249,15 @@ def test_cards_and_pages_say_what_was_measured(
     assert Config.from_json(capsys.readouterr().out.removeprefix(f"{onnx_file}\n")) == config
 
     (tmp_path / "policies").mkdir()
-    assert main(["best", str(tmp_path / "runs"), "--out", str(tmp_path / "policies")]) == 0
+    best = ["best", "--trust", str(tmp_path / "runs")]
+    assert main([*best, "--out", str(tmp_path / "policies")]) == 0
     assert card_of(tmp_path / "policies" / f"{config.task}.onnx") == card
     # A policy that was there before stays on the page.
     shutil.copy(onnx_file, tmp_path / "policies" / "StaticTrack-v0.onnx")
-    assert main(["best", str(tmp_path / "runs"), "--out", str(tmp_path / "policies")]) == 0
+    assert main([*best, "--out", str(tmp_path / "policies")]) == 0
     rows = (tmp_path / "policies" / "README.md").read_text().splitlines()
     assert sum(row.startswith("| StaticTrack | her | ") for row in rows) == 1
-    assert main(["export", str(run.path), "--out", str(onnx_file)]) == 0
+    assert main(["export", "--trust", str(run.path), "--out", str(onnx_file)]) == 0
     with pytest.raises(InvalidRequest, match="expected a policy with a card"):
         card_of(Path(onnx_file))
     capsys.readouterr()
@@ -257,7 +265,9 @@ def test_cards_and_pages_say_what_was_measured(
     ablation = tmp_path / "ablations" / "wide" / "seed-7"
     shutil.copytree(run.path, ablation)
     (ablation / "config.json").write_text(config.but(hidden=(512,)).to_json())
-    assert main(["evaluate", str(run.path), "--episodes", "4", "--option", "rate=20"]) == 0
+    assert (
+        main(["evaluate", "--trust", str(run.path), "--episodes", "4", "--option", "rate=20"]) == 0
+    )
     page = tmp_path / "page" / "RESULTS.md"
     assert main(["report", str(tmp_path), "--out", str(page), "--pictures", str(tmp_path)]) == 0
     text, ablations = page.read_text().split("## What settings are worth")
@@ -437,7 +447,7 @@ def test_the_command_line_says_what_is_wrong(
     assert "NeedlePick-v0" in capsys.readouterr().err
     assert main(["train", *flags, "--set", "noise"]) == 2
     assert main(["train", *flags, "--server", "no-such-server", "--out", str(tmp_path)]) == 3
-    assert main(["evaluate", str(tmp_path)]) == 2
+    assert main(["evaluate", "--trust", str(tmp_path)]) == 2
     assert "folder of a run" in capsys.readouterr().err
     assert main(["configs", *flags, "--set", "noise=0.5", "--option", "grasp=weld"]) == 0
     told = json.loads(capsys.readouterr().out)
@@ -473,6 +483,49 @@ def test_damaged_files_of_a_run_are_named(tmp_path: Path) -> None:
     (run.path / "config.json").write_bytes(b"")
     with pytest.raises(ValueError, match=r"config\.json.*damaged"):
         _ = run.config
+
+
+class Harm:
+    """Writes a file when it is loaded by pickle."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+
+    def __reduce__(self) -> Any:
+        return Path.write_text, (self.path, "harm")
+
+
+def test_files_that_run_code_need_trust(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    harm = tmp_path / "harm"
+    run = Run(tmp_path / "seed-0")
+    run.begin(load("NeedleReach", "her"), resume=False)
+    code = base64.b64encode(cloudpickle.dumps(Harm(harm))).decode()
+    data = json.dumps({"policy_class": {":type:": "Harm", ":serialized:": code}})
+    with zipfile.ZipFile(run.path / "best.zip", "w") as archive:
+        archive.writestr("data", data)
+    for command in ("evaluate", "export"):
+        assert main([command, str(run.path)]) == 2
+        assert "--trust" in capsys.readouterr().err
+    assert not harm.exists()
+    assert main(["evaluate", "--trust", str(run.path)]) == 2
+    assert harm.exists()
+    checkpoint = run.path / "checkpoint"
+    checkpoint.mkdir()
+    with pytest.raises(ValueError, match=r"checkpoint can run any code.*--trust"):
+        run.check(load("NeedleReach", "her"), resume=True)
+
+
+def test_files_of_own_algorithms_run_no_code(tmp_path: Path, server: str) -> None:
+    harm = tmp_path / "harm"
+    run = train(small("dagger", epochs=1), 0, out=tmp_path, server=server, say=quietly)
+    torch.save({"policy": Harm(harm)}, run.path / "checkpoint" / "learner.pt")
+    torch.save({"policy": Harm(harm)}, run.path / "best.zip")
+    with pytest.raises(ValueError, match=r"best\.zip.*damaged"):
+        run.policy()
+    config = small("dagger", epochs=1)
+    with pytest.raises(ValueError, match=r"checkpoint.*damaged"):
+        train(config, 0, out=tmp_path, server=server, resume=True, say=quietly)
+    assert not harm.exists()
 
 
 def test_a_refused_option_leaves_no_folder(tmp_path: Path, server: str) -> None:

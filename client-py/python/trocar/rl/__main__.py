@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -56,6 +57,8 @@ def _parser() -> argparse.ArgumentParser:
     train.add_argument("--threads", type=int, default=1, help="of PyTorch")
     train.add_argument("--view", action="store_true", help="say where the viewer shows it")
 
+    _trust(train)
+
     evaluate = commands.add_parser("evaluate", help="how often a policy succeeds, as JSON")
     evaluate.set_defaults(run=_evaluate)
     evaluate.add_argument("run_folder", type=Path, metavar="RUN")
@@ -68,6 +71,7 @@ def _parser() -> argparse.ArgumentParser:
         "--conditions", action="store_true", help="also late, disturbed, and at twice the rate"
     )
     _options(evaluate)
+    _trust(evaluate)
 
     table = commands.add_parser("table", help="evaluations of several runs, as a Markdown table")
     table.set_defaults(run=_table)
@@ -95,15 +99,27 @@ def _parser() -> argparse.ArgumentParser:
         "--card", action="store_true", help="write into the file how well it does, once evaluated"
     )
 
+    _trust(export)
+
     best = commands.add_parser("best", help="each task's best policy as ONNX, and their page")
     best.set_defaults(run=_best)
     best.add_argument("runs", type=Path, help="folder of runs, which were evaluated")
     best.add_argument("--out", type=output_folder, default="policies", help="folder of the files")
 
+    _trust(best)
+
     configs = commands.add_parser("configs", help="show a configuration, as JSON")
     configs.set_defaults(run=lambda given: print(_config(given).to_json()))
     _chosen(configs)
     return parser
+
+
+def _trust(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--trust",
+        action="store_true",
+        help="load files of Stable-Baselines3 (.zip, .pkl), which can run any code",
+    )
 
 
 def _chosen(parser: argparse.ArgumentParser) -> None:
@@ -151,6 +167,7 @@ def _train(given: argparse.Namespace) -> None:
         server=given.server,
         threads=given.threads,
         view=given.view,
+        trust=given.trust,
     )
     print(run.path)
 
@@ -163,7 +180,7 @@ def _evaluate(given: argparse.Namespace) -> None:
     from trocar.rl.runs import Run
 
     torch.set_num_threads(1)
-    run = Run(given.run_folder)
+    run = Run(given.run_folder, given.trust)
     config, policy = run.config, run.policy(given.policy)
     options = assignments(given.option)
     tested: dict[str | None, Any] = {None if options else AS_TRAINED: options}
@@ -225,7 +242,7 @@ def _export(given: argparse.Namespace) -> None:
     from trocar.rl.export import export
     from trocar.rl.runs import Run
 
-    run = Run(given.run_folder)
+    run = Run(given.run_folder, given.trust)
     told = card(run, given.policy) if given.card else None
     print(export(run.policy(given.policy), run.config, given.out, told))
 
@@ -240,6 +257,7 @@ def _best(given: argparse.Namespace) -> None:
 
     for run in best(find(given.runs)):
         task = run.config.task
+        run = replace(run, trust=given.trust)
         print(export(run.policy("best"), run.config, path(task), card(run)))
     # Tasks without a run keep the policies that are there.
     cards = {task: card_of(path(task)) for task in TASKS if path(task).exists()}

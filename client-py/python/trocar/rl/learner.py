@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -173,12 +173,23 @@ class Own:
 
     def save(self, folder: Path) -> None:
         """Writes all that :meth:`restore` needs to go on."""
-        torch.save(self.state(), folder / "learner.pt")
+        torch.save(_plain(self.state()), folder / "learner.pt")
 
     def restore(self, folder: Path) -> None:
         """Goes on where another was when it was saved."""
-        self.go_on(torch.load(folder / "learner.pt", weights_only=False))
+        self.go_on(torch.load(folder / "learner.pt", weights_only=True))
 
     def close(self) -> None:
         """Ends its environments."""
         self.envs.close()
+
+
+def _plain(value: Any) -> Any:
+    """A state of tensors, numbers, text, lists and dictionaries: no type that pickle calls."""
+    if isinstance(value, Mapping):
+        return {key: _plain(part) for key, part in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(part) for part in value]
+    if isinstance(value, np.ndarray):
+        return torch.from_numpy(value)
+    return value.item() if isinstance(value, np.generic) else value

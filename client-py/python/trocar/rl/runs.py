@@ -20,7 +20,7 @@ import pickle
 import shutil
 import zipfile
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -60,6 +60,8 @@ class Run:
     """A run's folder."""
 
     path: Path
+    trust: bool = field(default=False, compare=False)
+    """True to load models and checkpoints of Stable-Baselines3, whose files can run any code."""
 
     @property
     def config(self) -> Config:
@@ -99,6 +101,8 @@ class Run:
         if not resume:
             allowed = "a run is there already; resume it, or choose another folder"
             raise refuse(InvalidRequest, "out", str(self.path), allowed)
+        if self.has_checkpoint:
+            self._check_trust(self._checkpoint, config.algo)
         there = asdict(self.config)
         for name, value in asdict(config).items():
             if there[name] != value:
@@ -143,12 +147,13 @@ class Run:
         """The policy that was ``best`` in evaluations, or the ``last``; it cannot be trained on.
 
         Raises:
-            ValueError: There is none.
+            ValueError: There is none, or its file can run code and is not trusted.
         """
         path = self.path / f"{which}.zip"
         if which not in ("best", "last") or not path.is_file():
             raise refuse(InvalidRequest, "policy", which, f"expected best or last in {self.path}")
         algo = self.config.algo
+        self._check_trust(path, algo)
         with _reading(path):
             return Policy.load(path) if algo in OWN else load_policy(algo, path)
 
@@ -182,8 +187,9 @@ class Run:
         """Lets a learner go on from the checkpoint; the curve until there.
 
         Raises:
-            ValueError: It is of another version.
+            ValueError: It is of another version, or its files can run code and are not trusted.
         """
+        self._check_trust(self._checkpoint, self.config.algo)
         with _reading(self._checkpoint / "rows.json") as path:
             told = json.loads(path.read_text())
         if told["version"] != trocar.__version__:
@@ -193,6 +199,19 @@ class Run:
             learner.restore(self._checkpoint)
         rows: list[Row] = told["rows"]
         return rows
+
+    def _check_trust(self, path: Path, algo: str) -> None:
+        """Checks that a file or folder may be loaded.
+
+        Raises:
+            InvalidRequest: Loading can run code, and the run is not trusted.
+        """
+        if algo not in OWN and not self.trust:
+            allowed = (
+                f"loading {path} can run any code, as files of Stable-Baselines3 do; if you trust "
+                "the file, give --trust (trust=True)"
+            )
+            raise refuse(InvalidRequest, "trust", False, allowed)
 
 
 @contextlib.contextmanager

@@ -7,6 +7,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -40,6 +41,7 @@ def train(
     server: str | None = None,
     threads: int = 1,
     view: bool = False,
+    trust: bool = False,
     say: Say = lambda line: print(line, file=sys.stderr, flush=True),
 ) -> Run:
     """Trains, and writes everything to ``out/TASK/ALGO/seed-SEED``.
@@ -55,12 +57,14 @@ def train(
         server: Name of the server; one of its own if ``None``.
         threads: Of PyTorch; small networks need no more than one.
         view: Whether to say where the server's live viewer shows it, which is then started.
+        trust: True to resume a checkpoint of Stable-Baselines3, whose files can run any code.
         say: Takes lines for people.
 
     Raises:
-        ValueError: A run is there already, or the demonstrations are not for this.
+        ValueError: A run is there already, the demonstrations are not for this, or the checkpoint
+            is not trusted.
     """
-    run = Run(Path(out) / config.task / config.algo / f"seed-{seed}")
+    run = Run(Path(out) / config.task / config.algo / f"seed-{seed}", trust)
     run.check(config, resume)
     torch.set_num_threads(threads)
     with _served(server) as (name, server_pid):
@@ -82,7 +86,7 @@ def train(
             learner.close()
             evaluation.close()
     plot_run(run, run.path / "curve.png")
-    return run
+    return replace(run, trust=True)  # this process wrote the files
 
 
 def make_learner(
