@@ -26,5 +26,6 @@ mod robustness;
 mod soft;
 mod soft_grasp;
 mod stages;
+mod starts;
 mod suite;
 mod time;
