@@ -6,7 +6,8 @@
 //! the expert, so an expert may change; states in which episodes start with a part of the work done
 //! are the expert's.
 //!
-//! `make bits` writes the file anew, `TROCAR_BITS=starts make bits` only episodes with such a start. That is
+//! `make bits` writes the file anew, `TROCAR_BITS=starts make bits` only episodes with such a start, those
+//! of NeedleRegrasp among them. That is
 //! done only when physics, or with those starts the expert, changes on purpose. `TROCAR_BITS=tasks make bits` adds the
 //! episodes of tasks that the file does not have. `TROCAR_BITS=observations make bits`
 //! writes hashes of observations alone, where a range of one was wrong: it refuses where anything else differs.

@@ -27,5 +27,6 @@ mod scaled;
 mod soft;
 mod soft_grasp;
 mod stages;
+mod starts;
 mod suite;
 mod time;

@@ -109,31 +109,27 @@ impl Drivetrain {
         Self { offsets: offsets.collect(), transmission: Some((Arc::new(transmission), state)) }
     }
 
+    /// Brings the encoders here while something holds the links there, rad or m, as far as the plays allow.
+    pub fn load(&mut self, encoders: &[f64], links: &[f64]) {
+        let Some((transmission, state)) = &mut self.transmission else { return };
+        state.encoders.clone_from(&encoders.iter().copied().collect());
+        state.plays.clone_from(&state.encoders);
+        // The play of the wrist's yaw moves its pitch, so the last axes come first.
+        for axis in (0..state.plays.len()).rev() {
+            let Backlash { half_width, weight, .. } = transmission.backlash[axis];
+            let missing = links[axis] - state.links(transmission, &self.offsets)[axis];
+            if weight > 0.0 {
+                state.plays[axis] += (missing / weight).clamp(-half_width, half_width);
+            }
+        }
+    }
+
     /// Brings the encoders here, rad or m; plays move along.
     pub fn displace_to(&mut self, encoders: &[f64]) {
         let Some((_, state)) = &mut self.transmission else { return };
         for ((encoder, play), to) in state.encoders.iter_mut().zip(&mut state.plays).zip(encoders) {
             *play += to - *encoder;
             *encoder = *to;
-        }
-    }
-
-    /// Brings each link to the same part of its play as that of `other`: what loads both is the same.
-    pub fn load_as(&mut self, other: &Self) {
-        let (Some((own, state)), Some((transmission, before))) =
-            (&mut self.transmission, &other.transmission)
-        else {
-            return;
-        };
-        let widths = own.backlash.iter().zip(&transmission.backlash);
-        let places = before.encoders.iter().zip(&before.plays);
-        for (((encoder, play), widths), (other_encoder, other_play)) in
-            state.encoders.iter().zip(&mut state.plays).zip(widths).zip(places)
-        {
-            if widths.1.half_width > 0.0 {
-                let part = (other_play - other_encoder) / widths.1.half_width;
-                *play = encoder + part * widths.0.half_width;
-            }
         }
     }
 

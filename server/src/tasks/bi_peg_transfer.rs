@@ -76,7 +76,9 @@
 //!   has an attachment.
 //! - `start`, the paper's variants: PSM2 has done `approach` (its open jaws are about a wall), `pick`
 //!   (they hold it) or `lift` (above the pegs): one of 64 states that the expert made, with a new
-//!   target.
+//!   target, which the seed varies: PSM2 and block begin up to 15 mm beside (lifted) or 1 mm beside along x and y, PSM1
+//!   up to 3 mm, other blocks are turned about their pegs, and rows of `domain` are drawn anew, see
+//!   [`start`](super::start).
 //! - `preset = "surrol"`: positions, goals and tolerances in units of 0.2 m (metres × 5), blocks of
 //!   10 g, gripped with 3 N instead of 1 N, `grasp = "weld"` unless given.
 //! - `arm = "si"`: the arms of the S and Si in place of the first generation's, see
@@ -264,7 +266,7 @@ impl Task for BiPegTransfer {
     fn vary(&mut self, world: &mut World, rng: &mut Rng, extent: Extent) -> Option<f64> {
         let body = self.layout.block.body();
         let (before, is_held) = (world.pose(body), self.arms[1].holds(world, body));
-        let growth = self.board.vary(world, &mut self.layout, rng, extent.objects);
+        let growth = self.board.vary(world, &mut self.layout, rng, extent.contacts);
         let is_lifted = self.start == Start::Lift;
         let fetching = self.fetching();
         let held = (&before, growth);
@@ -273,7 +275,7 @@ impl Task for BiPegTransfer {
         let mut waiting = *self.arms[0].commanded();
         waiting.translation.vector.x += extent.share * rng.uniform(-WAITING_SHIFT, WAITING_SHIFT);
         waiting.translation.vector.y += extent.share * rng.uniform(0.0, WAITING_SHIFT);
-        let is_placed = self.arms[1].vary(world, rng, &wrist, widening)
+        let is_placed = self.arms[1].vary(world, rng, &wrist, (widening, extent.contacts))
             && self.arms[0].vary_free(world, rng, &waiting);
         if !is_placed || !self.arms[1].is_in_reach() {
             return None;

@@ -66,7 +66,9 @@
 //!   tip is within `grasp_distance` (0.002 m) of it, through which the fingers then pass; `weld`:
 //!   friction until it is 5 mm higher than it stood, then an attachment.
 //! - `start`: `approach` (the open jaws are about the cylinder), `pick` (they hold it) or `lift` (as high
-//!   as its goal): one of 64 states that the expert made, with a new goal.
+//!   as its goal): one of 64 states that the expert made, with a new goal, which the seed varies: jaws and object
+//!   begin together anywhere that the object may lie, and rows of `domain` are drawn anew, see
+//!   [`start`](super::start).
 //! - `preset = "surrol"`: positions, goals and tolerance in units of 0.2 m (metres × 5), cylinder of
 //!   10 g, gripped with 3 N instead of 1 N, `spawn = "narrow"` and `grasp = "weld"` unless given.
 //! - `arm = "si"`: the arm of the S and Si in place of the first generation's, see

@@ -62,7 +62,8 @@
 //! uniform in the middle third, along each axis, of x 0.55 to 0.60, y 0.01 to 0.08, z 0.7052 to
 //! 0.7552 m; the needle hangs with its ends up, tilted by up to ±15° about y. PSM2's wrist is in the
 //! middle of its workspace, (0.575, −0.045, 0.7302) m, jaws closed, along x, at a pitch of −90°. A
-//! session has 64 such states, brought about by physics; the seed chooses one. The goal is normal
+//! session has 64 grasps, brought about by physics. The seed chooses one, draws the centre of the arc and the rows of
+//! `domain`, and jaws and needle begin there together, see [`start`](super::start). The goal is normal
 //! about (0.575, −0.045, 0.7302) m with 5 mm along each axis, within x 0.556 to 0.594 m and y up
 //! to −0.0392 m.
 //!
@@ -288,7 +289,7 @@ impl Task for NeedleRegrasp {
         let body = self.needle.body();
         let (pose, wrist) = (world.pose(body), *self.arms[0].true_wrist());
         let (before, size) = (self.places(world)[1].translation.vector, self.needle.form().size());
-        if extent.objects {
+        if extent.contacts {
             self.needle.vary(world, rng);
         }
         let growth = self.needle.form().size() / size;
@@ -298,12 +299,14 @@ impl Task for NeedleRegrasp {
         let way = (draw_centre(rng) - grown.translation.vector) * extent.share;
         world.place(body, &(Pose::from(way) * grown));
         let [one, two] = &mut self.arms;
-        if !one.vary(world, rng, &(Pose::from(way) * wrist), growth) || !one.is_in_reach() {
+        if !one.vary(world, rng, &(Pose::from(way) * wrist), (growth, extent.contacts))
+            || !one.is_in_reach()
+        {
             return None;
         }
         two.reset(world, rng);
         world.set_velocity(body, &Vector3::zeros());
-        Some(if extent.objects && self.varies {
+        Some(if extent.contacts && self.varies {
             start::SETTLING_OF_OBJECTS
         } else {
             start::SETTLING

@@ -299,7 +299,7 @@ impl PegBoard {
 
     /// Time in which the contacts of a varied start come to rest, s.
     pub fn settling(&self, extent: Extent) -> f64 {
-        let varies = extent.objects && self.domain.varies_contacts();
+        let varies = extent.contacts && self.domain.varies_contacts();
         if varies { start::SETTLING_OF_OBJECTS } else { start::SETTLING }
     }
 

@@ -14,8 +14,8 @@ use super::psm_scene::PsmArm;
 use super::relative::Grip;
 use super::start::{Extent, Start};
 use crate::sim::frames::Pose;
-use crate::sim::random::Rng;
 use crate::sim::instrument::{FINGER_HALF, JAW_CLOSED, JAW_OPEN, TIP_OFFSET};
+use crate::sim::random::Rng;
 use crate::sim::world::World;
 
 /// How far the tips of closed jaws reach below the block's top, m.

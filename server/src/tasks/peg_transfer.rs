@@ -68,7 +68,9 @@
 //!   tip is within `grasp_distance` (0.002 m) of it, through which the fingers then pass; `weld`:
 //!   friction until the block's centre is 10 mm above those of the pegs, then an attachment.
 //! - `start`: `approach` (the open jaws are about a wall), `pick` (they hold it) or `lift` (above the
-//!   pegs): one of 64 states that the expert made, with a new target.
+//!   pegs): one of 64 states that the expert made, with a new target, which the seed varies: jaws and block
+//!   begin up to 15 mm beside (lifted) or 1 mm beside along x and y, other blocks are turned about their pegs, and rows
+//!   of `domain` are drawn anew, see [`start`](super::start).
 //! - `preset = "surrol"`: positions, goals and tolerances in units of 0.2 m (metres × 5), blocks of
 //!   10 g, gripped with 3 N instead of 1 N, `grasp = "weld"` unless given.
 //! - `arm = "si"`: the arm of the S and Si in place of the first generation's, see
@@ -205,12 +207,14 @@ impl Task for PegTransfer {
     fn vary(&mut self, world: &mut World, rng: &mut Rng, extent: Extent) -> Option<f64> {
         let body = self.layout.block.body();
         let (before, is_held) = (world.pose(body), self.arm.holds(world, body));
-        let growth = self.board.vary(world, &mut self.layout, rng, extent.objects);
+        let growth = self.board.vary(world, &mut self.layout, rng, extent.contacts);
         let is_lifted = self.start == Start::Lift;
         let wrist =
             self.transfer().vary(&self.arm, world, (&before, growth), is_lifted, rng, extent);
         let widening = if is_held { growth } else { 1.0 };
-        if !self.arm.vary(world, rng, &wrist, widening) || !self.arm.is_in_reach() {
+        if !self.arm.vary(world, rng, &wrist, (widening, extent.contacts))
+            || !self.arm.is_in_reach()
+        {
             return None;
         }
         if is_held {

@@ -180,14 +180,14 @@ impl<O: Pickable> Task for Picking<O> {
         let (mut wrist, pose) = (*self.arm.true_wrist(), world.pose(body));
         let is_held = self.arm.holds(world, body);
         let (before, size) = (self.grasp_place(world, &wrist), self.object.size());
-        if extent.objects {
+        if extent.contacts {
             self.object.vary(world, rng);
         }
         let growth = self.object.size() / size;
         // The pad is pressed in by the same part of its travel.
         let sunk = self.pad.as_ref().map_or(0.0, |pad| pad.sunk(world));
         let mut sinks = sunk;
-        if let Some(pad) = self.pad.as_mut().filter(|_| extent.objects) {
+        if let Some(pad) = self.pad.as_mut().filter(|_| extent.contacts) {
             let travel = pad.depth();
             pad.vary(world, rng);
             sinks *= if travel > 0.0 { pad.depth() / travel } else { 0.0 };
@@ -206,13 +206,19 @@ impl<O: Pickable> Task for Picking<O> {
         world.place(body, &(Pose::from(way) * grown));
         wrist.translation.vector += self.grasp_place(world, &wrist) - before;
         let widening = if is_held { growth } else { 1.0 };
-        if !self.arm.vary(world, rng, &wrist, widening) || !self.arm.is_in_reach() {
+        if !self.arm.vary(world, rng, &wrist, (widening, extent.contacts))
+            || !self.arm.is_in_reach()
+        {
             return None;
         }
         if is_held {
             world.set_velocity(body, &Vector3::zeros());
         }
-        Some(if extent.objects && self.varies { start::SETTLING_OF_OBJECTS } else { start::SETTLING })
+        Some(if extent.contacts && self.varies {
+            start::SETTLING_OF_OBJECTS
+        } else {
+            start::SETTLING
+        })
     }
 
     fn is_prepared(&self, world: &World) -> bool {

@@ -52,7 +52,9 @@ use crate::render::skeleton::Skeleton;
 use crate::render::{Jaws, Scene};
 use crate::robots::{ArmModel, Axes, Drivetrain, Psm};
 use crate::sim::frames::{self, Aabb, Pose};
-use crate::sim::instrument::{self, Instrument, JAW_CLOSED, JAW_OPEN, Jaws as Fingers, Posture, TIP_OFFSET};
+use crate::sim::instrument::{
+    self, Instrument, JAW_CLOSED, JAW_OPEN, Jaws as Fingers, Posture, TIP_OFFSET,
+};
 use crate::sim::motion::Profile;
 use crate::sim::random::Rng;
 use crate::sim::world::{BodyId, SoftId, World};
@@ -321,7 +323,8 @@ impl PsmArm {
 
     /// Brings the arm to its start and draws this episode's errors of the arm and friction of the jaws.
     pub fn reset(&mut self, world: &mut World, rng: &mut Rng) {
-        self.draw_episode(world, rng);
+        self.draw_friction(world, rng);
+        self.draw_encoders(rng);
         self.joints = self.start_joints;
         self.scene_from_wrist = self.start;
         let world_from_wrist = self.pose_of(&self.true_joints());
@@ -330,11 +333,15 @@ impl PsmArm {
         self.stay();
     }
 
-    /// Draws this episode's errors of the arm and friction of the jaws.
-    fn draw_episode(&mut self, world: &mut World, rng: &mut Rng) {
+    /// Draws this episode's friction of the jaws.
+    fn draw_friction(&mut self, world: &mut World, rng: &mut Rng) {
         if let Some(friction) = self.friction.draw_if_given(rng) {
             self.instrument.set_friction(world, friction);
         }
+    }
+
+    /// Draws this episode's errors of the arm.
+    fn draw_encoders(&mut self, rng: &mut Rng) {
         let mut offsets = [0.0; 7];
         for joint in [0, 1, 3, 4, 5] {
             offsets[joint] = self.joint_offset.draw(rng);

@@ -6,7 +6,11 @@
 //! The seed of an episode chooses a state and varies it: jaws and object move together to another place, and the rows
 //! of `domain` are drawn anew, for an object that is held already as well. Afterwards contacts come to rest, in at
 //! most two steps. A variation is valid if the object stays where the jaws brought it, at rest, without a new overlap.
-//! Otherwise the next attempt has a smaller extent; see [`Extent`].
+//! Otherwise the next attempt has a smaller extent or another prepared state. If none is valid, the prepared state stays
+//! as it is.
+//!
+//! The true pose of an arm that holds an object does not depend on the arm's errors: sensors report another pose. An arm
+//! without an object begins at its sensed pose.
 
 use std::sync::OnceLock;
 
@@ -96,17 +100,20 @@ pub fn bring_about<T: Registered>(
 pub struct Extent {
     /// Share of the whole range of poses, 0 to 1.
     pub share: f64,
-    /// True if objects draw their mass and size, and pads their stiffness; otherwise they keep those of the
-    /// prepared state.
-    pub objects: bool,
+    /// True if the episode draws mass and size of objects, friction of the jaws and stiffness of the pad; otherwise
+    /// those of the prepared state stay.
+    pub contacts: bool,
 }
 
-/// Extents of successive attempts: poses close to the prepared one need less room.
-const EXTENTS: [Extent; 4] = [
-    Extent { share: 1.0, objects: true },
-    Extent { share: 0.5, objects: true },
-    Extent { share: 0.1, objects: true },
-    Extent { share: 0.1, objects: false },
+/// Successive attempts: the number of the prepared state, counted from the drawn one, and the extent. Poses close to
+/// the prepared one need less room.
+const VARIATIONS: [(usize, Extent); 6] = [
+    (0, Extent { share: 1.0, contacts: true }),
+    (0, Extent { share: 0.5, contacts: true }),
+    (0, Extent { share: 0.1, contacts: true }),
+    (1, Extent { share: 1.0, contacts: true }),
+    (1, Extent { share: 0.5, contacts: false }),
+    (2, Extent { share: 0.5, contacts: false }),
 ];
 
 /// Time in which contacts come to rest if a held object only moves together with the jaws, s.
@@ -128,10 +135,10 @@ const MAX_SETTLING: [f64; 2] = [2e-3, 0.15];
 const MAX_OVERLAP: f64 = 0.1e-3;
 const MAX_MORE_OVERLAP: f64 = 0.02e-3;
 
-/// The object overlaps its fingers at most this deep, m: contacts give in by as much.
-const MAX_SQUEEZED: f64 = 0.3e-3;
+/// Deepest overlap of a free object with anything, m, fingers included: they sink into thin and into round objects.
+const MAX_SQUEEZED: f64 = 0.4e-3;
 
-/// Measures of a state by which its contacts are judged.
+/// Overlaps and clearance of a state.
 struct Contacts {
     /// Deepest overlap of the main object with everything but instruments, m.
     object: f64,
@@ -192,7 +199,7 @@ impl Starts {
     }
 
     /// Brings `task` and `world` to the beginning of an episode: one of the states, which `rng` draws, varied by
-    /// `variation`. A state of which no variation is valid stays as it is.
+    /// `variation`. If no variation is valid, the state stays as it is.
     pub(crate) fn begin(
         &self,
         rng: &mut Rng,
@@ -200,8 +207,9 @@ impl Starts {
         task: &mut Box<dyn Task>,
         world: &mut World,
     ) {
-        let state = self.state(rng.index(COUNT));
-        for extent in EXTENTS {
+        let drawn = rng.index(COUNT);
+        for (further, extent) in VARIATIONS {
+            let state = self.state((drawn + further) % COUNT);
             task.clone_from(&state.task);
             world.clone_from(&state.world);
             if self.vary(state, task.as_mut(), world, variation.clone(), extent) {
@@ -209,6 +217,7 @@ impl Starts {
             }
         }
         tracing::debug!("no variation of the prepared start is valid");
+        let state = self.state(drawn);
         task.clone_from(&state.task);
         world.clone_from(&state.world);
     }

@@ -24,7 +24,7 @@ step succeeds. The last columns are conditions that it was not trained in: twice
 second, arms that are 60 ms late, and noise of 0.5 mm that they add to each command. A policy with
 "contact" needs `observation=("state", "contact")`.
 
-The figures are of arms without errors. † marks figures that are not held out: such episodes begin
+The figures are of arms without errors. † marks figures that are not held out: such episodes began
 in 64 prepared states, in training and in evaluation alike.
 
 {table}

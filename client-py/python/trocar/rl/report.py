@@ -31,8 +31,8 @@ mean, and how they compare with the paper, is told in [docs/paper.md](../../../.
 - **late fall**: how far the mean of a run's last three scores lies below its best, in points.
 - **trainer**, **server**, **wall**: medians over seeds of what a whole run took, with its scores,
   on machines with two cores that did other things too. PyTorch had one thread.
-- **†**: not held out. Episodes of NeedleRegrasp, and of a `start` other than `reset`, begin in 64
-  prepared states, in training and in evaluation alike; only the goals differ.
+- **†**: not held out. Episodes of NeedleRegrasp, and of a `start` other than `reset`, began in 64
+  prepared states, in training and in evaluation alike; only the goals differed.
 
 """
 TESTED = """

@@ -14,19 +14,21 @@ const MAX_EXCESS: f64 = 0.2e-3;
 
 impl PsmArm {
     /// Draws the errors of the episode and the friction of the jaws, and places the true wrist at `target`. The asked
-    /// opening stays; the angles of the fingers are multiplied by `widening`. The caller places a held object.
+    /// opening stays; the angles of the fingers are multiplied by `widening`. Without `contacts` the friction stays. The
+    /// caller places a held object.
     /// Returns false if the joints do not allow the place.
     pub(in crate::tasks) fn vary(
         &mut self,
         world: &mut World,
         rng: &mut Rng,
         target: &Pose,
-        widening: f64,
+        (widening, contacts): (f64, bool),
     ) -> bool {
         let (before, jaw) = (self.true_joints(), self.commanded.jaw);
-        let drivetrain = self.drivetrain.clone();
-        self.draw_episode(world, rng);
-        self.drivetrain.load_as(&drivetrain);
+        if contacts {
+            self.draw_friction(world, rng);
+        }
+        self.draw_encoders(rng);
         let mut target = *target;
         let low = target.translation.z - self.instrument.depth_below_wrist(&target.rotation);
         target.translation.z += (self.lowest() - low).max(0.0);
@@ -39,7 +41,17 @@ impl PsmArm {
         }
         let links = axes(&links, jaw);
         self.joints = first(&self.drivetrain.encoders(&links));
-        self.drivetrain.displace(&links);
+        if self.drivetrain.gives() {
+            // Plays are where the sensed wrist is turned as before, as far as they allow.
+            let mut sensed = self.pose_at(&self.joints);
+            sensed.rotation = self.scene_from_wrist.rotation;
+            let base_from_wrist = self.scene_from_base.inv_mul(&sensed);
+            if let Ok(encoders) = self.kinematics.inverse(&base_from_wrist, &self.joints) {
+                self.drivetrain.load(&axes(&encoders, jaw), &links);
+            }
+            self.joints = first(&self.drivetrain.encoders(&links));
+            self.drivetrain.displace(&links);
+        }
         self.scene_from_wrist = self.pose_at(&self.joints);
         let world_from_wrist = self.pose_of(&self.true_joints());
         self.instrument.carry(world, Posture { world_from_wrist, jaw }, widening);
@@ -56,10 +68,9 @@ impl PsmArm {
         target: &Pose,
     ) -> bool {
         let jaw = self.commanded.jaw;
-        let drivetrain = self.drivetrain.clone();
         let Some(joints) = self.solve(target) else { return false };
-        self.draw_episode(world, rng);
-        self.drivetrain.load_as(&drivetrain);
+        self.draw_friction(world, rng);
+        self.draw_encoders(rng);
         self.drivetrain.displace_to(&axes(&joints, jaw));
         self.joints = joints;
         self.scene_from_wrist = self.pose_at(&joints);
