@@ -141,10 +141,9 @@ impl Render {
         let registry = match catalog {
             Catalog::Builtin(registry) => registry,
             Catalog::Server(client) => {
-                let Self { look, seed, seconds, .. } = self;
-                return served::episode(
-                    client, look, policy, task, options, *seed, *seconds, format,
-                );
+                let (seed, seconds) = (self.seed, self.seconds);
+                let request = served::Request { policy, task, options, seed, seconds, format };
+                return served::episode(client, &self.look, &request);
             }
         };
         let mut env = registry.make(task, options)?;

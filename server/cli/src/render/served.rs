@@ -13,17 +13,23 @@ use super::look::{Format, Look};
 use super::moments::{Moment, Sight};
 use crate::policy::Chooser;
 
-/// The episode of `seed` in a server, up to `seconds` of simulated time. Pictures are of the ends of steps.
+/// An episode to be drawn, up to `seconds` of simulated time.
+pub(super) struct Request<'a> {
+    pub(super) policy: &'a Chooser,
+    pub(super) task: &'a str,
+    pub(super) options: &'a Options,
+    pub(super) seed: u64,
+    pub(super) seconds: f64,
+    pub(super) format: Format,
+}
+
+/// Plays an episode in a server, and returns the pictures of the ends of its steps.
 pub(super) fn episode(
     client: &Client,
     look: &Look,
-    policy: &Chooser,
-    task: &str,
-    options: &Options,
-    seed: u64,
-    seconds: f64,
-    format: Format,
+    request: &Request<'_>,
 ) -> anyhow::Result<Vec<Moment>> {
+    let Request { policy, task, options, seed, seconds, format } = *request;
     let views = look.views()?;
     let mut sessions = vec![];
     for (view, _) in &views {
