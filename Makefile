@@ -351,7 +351,8 @@ fmt: $(VENV)/ready ## * formats Rust and Python
 .PHONY: clean
 clean: ## removes all that the targets above made
 	$(CARGO) clean
-	rm -rf $(VENV) $(WHEEL_VENV) $(PLOT_VENV) .venv-rl .venv-rllib .venv-bullet .venv-mujoco .venv-ros2 dist client-py/python/trocar/*.so server/view/node_modules
+	rm -rf $(VENV) $(WHEEL_VENV) $(PLOT_VENV) .venv-rl .venv-rllib .venv-bullet .venv-mujoco .venv-ros2 .venv-zig dist client-py/python/trocar/*.so server/view/node_modules
+	rm -f {client-py,server/cli}/{LICENSE,THIRD_PARTY_NOTICES}
 
 # The program, the example of an own task and the Python package of this tree, in the profile that tests use.
 .PHONY: develop
