@@ -29,7 +29,7 @@ PLOT_VENV := .venv-plot
 WHEEL_TESTS := $(addprefix tests/test_,$(addsuffix .py,conventions env front_door goals package reset_options seeds vector)) \
 	-k "not stubs" -m "not grasp and not tissue"
 # Python files under ruff, as seen from client-py/, whose pyproject.toml has the rules.
-PYTHON_CODE := . ../tests/prose.py ../tests/vocabulary.py ../tests/documents.py ../tests/notices.py ../server/cli/src/demo ../server/cli/src/bench ../server/cli/src/load ../server/view/tests ../tests/ros2 ../tests/mujoco_twin
+PYTHON_CODE := . ../tests/prose.py ../tests/vocabulary.py ../tests/documents.py ../tests/notices.py ../tests/wheels.py ../server/cli/src/demo ../server/cli/src/bench ../server/cli/src/load ../server/view/tests ../tests/ros2 ../tests/mujoco_twin
 # What people train with, each with the Gymnasium that it needs.
 RL_BIN := $(abspath .venv-rl/bin)
 MUJOCO_BIN := $(abspath .venv-mujoco/bin)
@@ -107,13 +107,19 @@ viewer: ## server/view/page.html: builds the page of the live viewer anew; needs
 	cd server/view && npm ci --ignore-scripts --no-audit --no-fund && node build.mjs
 	cd server/view && LC_ALL=C sha256sum build.mjs package.json package-lock.json src/* page.html > page.sha256
 
+# The oldest glibc that Rust's standard library works with. Without zig, the linker takes the machine's own version.
+GLIBC := manylinux2014
+RELEASE_WHEEL := PATH=$(abspath .venv-zig/bin):$$PATH .venv-zig/bin/maturin build --release --locked --strip --zig \
+	--compatibility $(GLIBC) --out dist
+
 .PHONY: wheels
-wheels: $(VENV)/ready ## * dist/: the wheels trocar (client) and trocar-server (the program)
+wheels: .venv-zig/ready ## * dist/: the wheels trocar (client) and trocar-server (the program), for glibc 2.17 or newer
 	rm -rf dist
 	$(PYTHON) tests/notices.py write
-	$(BIN)/maturin build --release --locked --manifest-path client-py/Cargo.toml --out dist
-	$(BIN)/maturin build --release --locked --manifest-path server/cli/Cargo.toml --out dist
+	$(RELEASE_WHEEL) --manifest-path client-py/Cargo.toml
+	$(RELEASE_WHEEL) --manifest-path server/cli/Cargo.toml
 	$(PYTHON) tests/notices.py check dist/*.whl
+	$(PYTHON) tests/wheels.py dist/*.whl
 
 # SEEDS=0..40: which episodes; the table in server/GRASPING.md is that of its own seeds.
 .PHONY: experts-table
@@ -191,7 +197,7 @@ test-faults: ## calls of the kernel fail, one after the other, by strace, which 
 
 .PHONY: test-python
 test-python: develop ## * Python with the newest Gymnasium: types, stubs, tests
-	cd client-py && $(BIN)/mypy && $(BIN)/mypy ../tests/prose.py ../tests/vocabulary.py ../tests/documents.py ../tests/notices.py && for worker in demo bench load; do $(BIN)/mypy ../server/cli/src/$$worker/worker.py; done
+	cd client-py && $(BIN)/mypy && $(BIN)/mypy ../tests/prose.py ../tests/vocabulary.py ../tests/documents.py ../tests/notices.py ../tests/wheels.py && for worker in demo bench load; do $(BIN)/mypy ../server/cli/src/$$worker/worker.py; done
 	cd client-py && MYPYPATH=python:../tests $(BIN)/mypy ../tests/mujoco_twin/*.py
 	cd client-py && TROCAR_BINARY=$(TARGET)/debug/trocar $(BIN)/python -m pytest -n auto --maxprocesses 4 --dist worksteal
 	TROCAR_PYTHON=$(BIN)/python $(CARGO) test $(RUST) --test load python_clients
@@ -345,7 +351,8 @@ fmt: $(VENV)/ready ## * formats Rust and Python
 .PHONY: clean
 clean: ## removes all that the targets above made
 	$(CARGO) clean
-	rm -rf $(VENV) $(WHEEL_VENV) $(PLOT_VENV) .venv-rl .venv-rllib .venv-bullet .venv-mujoco .venv-ros2 dist client-py/python/trocar/*.so server/view/node_modules
+	rm -rf $(VENV) $(WHEEL_VENV) $(PLOT_VENV) .venv-rl .venv-rllib .venv-bullet .venv-mujoco .venv-ros2 .venv-zig dist client-py/python/trocar/*.so server/view/node_modules
+	rm -f {client-py,server/cli}/{LICENSE,THIRD_PARTY_NOTICES}
 
 # The program, the example of an own task and the Python package of this tree, in the profile that tests use.
 .PHONY: develop
