@@ -290,9 +290,7 @@ impl Instrument {
 
     /// Whether it meets nothing in the volume that it sweeps.
     pub(super) fn has_free_way(&self, world: &World, swept: &Aabb) -> bool {
-        self.attached.is_none()
-            && !world.object_in(&swept.grown(MARGIN))
-            && !world.static_in(swept)
+        self.attached.is_none() && !world.object_in(&swept.grown(MARGIN)) && !world.static_in(swept)
     }
 
     /// Whether gripping jaws that sweep a volume in a substep are out of reach of all objects and of
