@@ -44,6 +44,7 @@ FOREIGN_FLAGS = frozenset(
         "ipc",
         "lib",
         "locked",
+        "logdir",
         "manifest-path",
         "nocapture",
         "no-deps",

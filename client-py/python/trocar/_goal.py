@@ -50,7 +50,7 @@ class Described:
                 spec = replace(spec, max_episode_steps=own)
             elif not 1 <= wanted <= own:
                 cast("Any", self).close()
-                allowed = f"allowed are 1 to {own}; the option episode_seconds makes episodes longer"
+                allowed = f"allowed are 1 to {own}; the option episode_seconds sets more"
                 raise refuse(InvalidOption, "max_episode_steps", wanted, allowed)
         self._spec = spec
 

@@ -157,9 +157,7 @@ class TrocarVectorEnv(
         spec = self.task_spec
         if max_episode_steps not in (None, spec.max_steps):
             self.close()
-            allowed = (
-                f"allowed is {spec.max_steps}; the option episode_seconds sets the length of episodes"
-            )
+            allowed = f"allowed is {spec.max_steps}; the option episode_seconds sets others"
             raise refuse(InvalidOption, "max_episode_steps", max_episode_steps, allowed)
         self._copy = truth(copy, "copy")
         self._reset_options = ResetOptions(spec, num_envs)

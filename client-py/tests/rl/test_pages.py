@@ -1,4 +1,4 @@
-"""Programs of the documents that need Stable-Baselines3 run as pasted, with fewer steps of training."""
+"""Programs of the documents that need Stable-Baselines3 run as pasted, with fewer steps."""
 
 from __future__ import annotations
 
