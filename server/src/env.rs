@@ -83,8 +83,8 @@ pub struct Step {
     /// Length of the paths of the tips, m: of the jaws of all arms together, or of the endoscope. A path is the polygon
     /// through where the true tip is after each substep, 1/240 s.
     pub tip_path: f32,
-    /// Largest force between a jaw and a body that it touched, N, as the average of a substep; 0 where the jaws touched
-    /// nothing. Friction is not in it, nor what the arm itself would bear: nothing moves it from its path.
+    /// Largest force between a jaw and a touched body, N, averaged over 1/60 s; 0 if the jaws touched nothing. Friction
+    /// is excluded. The static limit of grip and arm is in `server/GRASPING.md`.
     pub peak_force: f32,
     /// Largest pressure of a finger or wrist on tissue, Pa: its force over the skin that it touches, as the average of a
     /// substep.
@@ -314,6 +314,7 @@ impl Env {
     fn begin(&mut self) {
         tracing::debug!(task = self.spec.id, self.seed, self.episode, "reset");
         self.steps = 0;
+        self.time = Time::default();
         self.placement = Placement::default();
         self.seen.is_present = false;
         // Here, so that no step has to allocate.

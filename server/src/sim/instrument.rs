@@ -303,10 +303,10 @@ impl Instrument {
     }
 
     /// Deepest overlap with static bodies at `next`, if the overlap is larger than now: static bodies stop wrist and
-    /// fingers there, also if the fingers are locked.
-    pub(super) fn stopped_by(&self, world: &World, next: &Posture) -> Option<Overlap> {
+    /// fingers there, also if the fingers are locked. Bodies that were carried without substeps are placed first.
+    pub(super) fn stopped_by(&mut self, world: &mut World, next: &Posture) -> Option<Overlap> {
         if self.stale {
-            return None;
+            self.put_bodies(world);
         }
         let motion = next.world_from_wrist * self.posture.world_from_wrist.inverse();
         let deepest = |motion: &Pose| {

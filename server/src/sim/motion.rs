@@ -35,6 +35,9 @@ pub type Profiles = ArrayVec<Profile, MAX_INSTRUMENTS>;
 /// way, so that it does not swing.
 const COMING_BACK: f64 = 0.1 * guard::ASIDE;
 
+/// Substeps over which a jaw force is averaged: 1/60 s. Impulses of single substeps depend on the solver.
+const FORCE_SUBSTEPS: usize = 4;
+
 /// Where the instruments are to be.
 type Places = ArrayVec<Posture, MAX_INSTRUMENTS>;
 
@@ -116,6 +119,8 @@ pub struct Motion {
     /// Substeps that have passed.
     now: u32,
     substeps: u32,
+    /// Jaw forces of the latest substeps of each instrument, N, the latest first; not of the present motion alone.
+    forces: ArrayVec<[f64; FORCE_SUBSTEPS], MAX_INSTRUMENTS>,
 }
 
 impl Motion {
@@ -215,12 +220,19 @@ impl Motion {
         guard::drive(&mut self.ways, instruments, world, self.now, self.substeps);
         world.advance();
         let mut effort = Effort::default();
-        for ((way, instrument), before) in self.ways.iter_mut().zip(instruments).zip(before) {
+        while self.forces.len() < self.ways.len() {
+            self.forces.push([0.0; FORCE_SUBSTEPS]);
+        }
+        for (((way, instrument), before), forces) in
+            self.ways.iter_mut().zip(instruments).zip(before).zip(&mut self.forces)
+        {
+            forces.rotate_right(1);
+            forces[0] = instrument.jaw_force(world);
             way.push = instrument.push(world);
             let tip = |posture: &Posture| posture.world_from_tip().translation.vector;
             effort += Effort {
                 tip_path: (tip(instrument.posture()) - tip(&before)).norm(),
-                peak_force: instrument.jaw_force(world),
+                peak_force: forces.iter().sum::<f64>() / FORCE_SUBSTEPS as f64,
                 tissue_pressure: instrument.tissue_pressure(world),
             };
         }
@@ -246,7 +258,10 @@ impl Motion {
                 }
             }
             effort += match quiet {
-                Some(tip_path) => Effort { tip_path, ..Effort::default() },
+                Some(tip_path) => {
+                    self.forces.clear(); // nothing touches the jaws
+                    Effort { tip_path, ..Effort::default() }
+                }
                 None => self.advance(instruments, world),
             };
         }

@@ -10,8 +10,8 @@ use crate::sim::instrument::Posture;
 pub struct Effort {
     /// Length of the paths of their tips, m; a path is the polygon through where a tip is after each substep.
     pub tip_path: f64,
-    /// Largest force between a jaw and a body that it touched, N, each the average of a substep; 0 where the jaws
-    /// touched nothing. Friction is not in it.
+    /// Largest force between a jaw and a touched body, N, averaged over 1/60 s; 0 if the jaws touched nothing. Friction
+    /// is excluded.
     pub peak_force: f64,
     /// Largest mean pressure of tissue on a finger or wrist, Pa, each the average of a substep.
     pub tissue_pressure: f64,

@@ -224,9 +224,13 @@ impl World {
         let motion = frames::to_engine(motion);
         let margin = (PREDICTION * SCALE) as f32;
         let mut deepest = Overlap { depth: f64::NEG_INFINITY, ..Overlap::NONE };
-        for part in self.bodies[body.0].colliders() {
+        let body = &self.bodies[body.0];
+        for part in body.colliders() {
             let part = &self.colliders[*part];
-            let moved = motion * *part.position();
+            let body_from_part =
+                part.position_wrt_parent().expect("every collider belongs to a body");
+            // Colliders of a body that was just placed follow at the next substep.
+            let moved = motion * (*body.position() * *body_from_part);
             let region = part.shape().compute_aabb(&moved).loosened(margin);
             let static_parts = self.fixed.iter().flat_map(|fixed| self.bodies[*fixed].colliders());
             for other in static_parts.map(|handle| &self.colliders[*handle]) {
