@@ -7,10 +7,12 @@
 
 use std::collections::BTreeMap;
 
-use trocar_proto::Options;
+use rayon::prelude::*;
+use trocar_proto::{OptionValue, Options};
 use trocar_server::Registry;
-use trocar_server::env::Excess;
+use trocar_server::env::{Env, Excess};
 use trocar_server::sim::random::Rng;
+use trocar_server::sim::world::{BodyId, World};
 
 /// Fastest that an object may become, m/s: ten times the instrument, and well below the 4 m/s to which
 /// the engine would clamp it.
@@ -176,4 +178,138 @@ fn nothing_explodes_under_adversarial_actions() {
     }
     assert!(bad.is_empty(), "{bad:#?}");
     assert!(losses <= steps / STEPS_PER_LOSS, "{losses} losses in {steps} steps");
+}
+
+/// Tasks with rigid objects that instruments touch.
+const RIGID: [&str; 8] = [
+    "NeedleReach-v0",
+    "CylinderPick-v0",
+    "NeedlePick-v0",
+    "GauzeRetrieve-v0",
+    "PegTransfer-v0",
+    "NeedleRegrasp-v0",
+    "BiPegTransfer-v0",
+    "CylinderReach-v0",
+];
+
+/// Steps a second, so that an object's movement in a step is a mean speed over 1/60 s.
+const FINE: f64 = 60.0;
+
+/// Largest mean speed of an object over 1/60 s, m/s: while the expert holds the object, and under adversarial actions.
+const FASTEST_HELD: f64 = 0.3;
+const FASTEST_MEAN: f64 = 1.5;
+
+/// Static limit of the jaw force, N: grip and arm together, see `GRASPING.md`.
+const STATIC_LIMIT: f64 = 14.5;
+
+/// Maxima over episodes of a task.
+#[derive(Debug, Clone, Copy, Default)]
+struct Maxima {
+    /// Mean speed of an object over 1/60 s, m/s, and its seed.
+    speed: (f64, u64),
+    /// Jaw force, N, and its seed.
+    force: (f64, u64),
+    losses: u32,
+    failures: u32,
+}
+
+impl Maxima {
+    fn or(self, other: Self) -> Self {
+        let larger = |one: (f64, u64), other: (f64, u64)| if other.0 > one.0 { other } else { one };
+        Self {
+            speed: larger(self.speed, other.speed),
+            force: larger(self.force, other.force),
+            losses: self.losses + other.losses,
+            failures: self.failures + other.failures,
+        }
+    }
+}
+
+/// Objects on which both fingers of an arm press.
+fn held(world: &World) -> Vec<BodyId> {
+    let touches = |finger: BodyId, object: BodyId| world.touch(finger, object);
+    let joints: Vec<_> = world.joints().collect();
+    let is_held = |object: &BodyId| {
+        joints.iter().enumerate().any(|(index, [carrier, finger])| {
+            let others = joints[index + 1..].iter().filter(|[other, _]| other == carrier);
+            touches(*finger, *object) && others.clone().any(|[_, other]| touches(*other, *object))
+        })
+    };
+    world.objects().filter(is_held).collect()
+}
+
+/// Plays the episode of a seed with the expert or, if `attacks`, with the moods of an adversary.
+fn play(mut env: Env, seed: u64, attacks: bool) -> Maxima {
+    env.reset(Some(seed));
+    let dim = env.spec().action_dim();
+    let mut rng = Rng::new(29, seed);
+    let mut action = vec![0.0; dim];
+    let mut maxima = Maxima::default();
+    let positions = |env: &Env| -> Vec<_> {
+        let world = env.world();
+        let held = held(world);
+        let counts = |object: BodyId| attacks || held.contains(&object);
+        let place = |object| (world.pose(object).translation.vector, counts(object));
+        world.objects().map(place).collect()
+    };
+    let mut before = positions(&env);
+    while !env.needs_reset() {
+        let mood = if attacks { mood(&mut rng, dim) } else { Mood::Expert };
+        // Up to 8 steps of the nominal 5 Hz.
+        for _ in 0..12 * (1 + rng.index(8)) {
+            if env.needs_reset() {
+                break;
+            }
+            match &mood {
+                Mood::Expert => env.expert(&mut action),
+                Mood::Push(push) => action.copy_from_slice(push),
+                Mood::Random => action.fill_with(|| rng.uniform(-1.0, 1.0) as f32),
+            }
+            let Ok(step) = env.step(&action) else {
+                maxima.failures += 1;
+                break;
+            };
+            maxima =
+                maxima.or(Maxima { force: (step.peak_force.into(), seed), ..Maxima::default() });
+            let now = positions(&env);
+            if !env.has_lost_objects() {
+                for ((from, counted), (to, counts)) in before.iter().zip(&now) {
+                    if *counted && *counts {
+                        let speed = ((to - from).norm() * FINE, seed);
+                        maxima = maxima.or(Maxima { speed, ..Maxima::default() });
+                    }
+                }
+            }
+            before = now;
+        }
+    }
+    maxima.losses = u32::from(env.has_lost_objects());
+    maxima
+}
+
+#[test]
+fn objects_stay_slow_and_forces_small_with_the_errors_of_real_arms() {
+    let is_soak = std::env::var_os("TROCAR_SOAK").is_some();
+    let seeds: u64 = if is_soak { 200 } else { 3 };
+    let only = std::env::var("TROCAR_TASK").ok();
+    let domain = OptionValue::Preset("dvrk".into(), BTreeMap::new());
+    let options = Options::new().with("domain", domain).with("rate", OptionValue::Number(FINE));
+    let mut bad = vec![];
+    for id in RIGID.into_iter().filter(|id| only.as_ref().is_none_or(|only| only == id)) {
+        let env = Registry::builtin().make(id, &options).unwrap();
+        for attacks in [false, true] {
+            let episodes = (0..seeds).into_par_iter().map(|seed| play(env.clone(), seed, attacks));
+            let maxima = episodes.reduce(Maxima::default, Maxima::or);
+            eprintln!("{id}, {seeds} seeds, adversary {attacks}: {maxima:?}");
+            let fastest = if attacks { FASTEST_MEAN } else { FASTEST_HELD };
+            let is_fine = maxima.speed.0 < fastest
+                && maxima.force.0 < STATIC_LIMIT
+                && maxima.losses == 0
+                && maxima.failures == 0;
+            if !is_fine {
+                bad.push(format!("{id}, adversary {attacks}: {maxima:?}"));
+            }
+        }
+    }
+    assert!(bad.is_empty(), "{bad:#?}");
 }
