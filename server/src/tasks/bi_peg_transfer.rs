@@ -263,7 +263,7 @@ impl Task for BiPegTransfer {
         });
     }
 
-    fn vary(&mut self, world: &mut World, rng: &mut Rng, extent: Extent) -> Option<f64> {
+    fn vary(&mut self, world: &mut World, rng: &mut Rng, extent: Extent) -> bool {
         let body = self.layout.block.body();
         let (before, is_held) = (world.pose(body), self.arms[1].holds(world, body));
         let growth = self.board.vary(world, &mut self.layout, rng, extent.contacts);
@@ -278,12 +278,12 @@ impl Task for BiPegTransfer {
         let is_placed = self.arms[1].vary(world, rng, &wrist, (widening, extent.contacts))
             && self.arms[0].vary_free(world, rng, &waiting);
         if !is_placed || !self.arms[1].is_in_reach() {
-            return None;
+            return false;
         }
         if is_held {
             world.set_velocity(body, &Vector3::zeros());
         }
-        Some(self.board.settling(extent))
+        true
     }
 
     fn is_prepared(&self, world: &World) -> bool {

@@ -148,11 +148,10 @@ pub trait Task: CloneTask + Send + Sync + 'static {
     }
 
     /// Varies a prepared state by the episode of `rng`: other poses and the rows of `domain`. An episode of another
-    /// seed begins elsewhere. Returns the time in which the changed contacts come to rest, s; none if no such state
-    /// exists, after which the state is undefined.
-    fn vary(&mut self, world: &mut World, rng: &mut Rng, extent: Extent) -> Option<f64> {
+    /// seed begins elsewhere. Returns false if no such state exists, after which the state is undefined.
+    fn vary(&mut self, world: &mut World, rng: &mut Rng, extent: Extent) -> bool {
         let _ = (world, rng, extent);
-        Some(0.0)
+        true
     }
 
     /// True if a varied state is still a prepared one: a held object is held.

@@ -125,7 +125,7 @@ use super::psm_scene::{
     self, PITCH_LIMIT, PaperAction, PsmArm, Station, Turn, pitch_across, pitched,
 };
 use super::relative::{Grasping, Grip};
-use super::start::{self, Extent};
+use super::start::Extent;
 use super::theatre;
 use super::tray::{self, Needle};
 use super::{Arms, Registered, State, Task, time};
@@ -199,8 +199,6 @@ pub struct NeedleRegrasp {
     by_nearness: bool,
     /// For how long, s, both arms have held the needle.
     together: f64,
-    /// True if episodes draw the needle's mass or size, or the friction of the jaws.
-    varies: bool,
     preset: Preset,
     goal: Vector3<f64>,
 }
@@ -237,7 +235,6 @@ impl Registered for NeedleRegrasp {
             grasp,
             by_nearness: matches!(mode, GraspMode::Approx { .. }),
             together: 0.0,
-            varies: domain.varies_contacts(),
             preset,
             goal: Vector3::zeros(),
         };
@@ -285,7 +282,7 @@ impl Task for NeedleRegrasp {
         );
     }
 
-    fn vary(&mut self, world: &mut World, rng: &mut Rng, extent: Extent) -> Option<f64> {
+    fn vary(&mut self, world: &mut World, rng: &mut Rng, extent: Extent) -> bool {
         let body = self.needle.body();
         let (pose, wrist) = (world.pose(body), *self.arms[0].true_wrist());
         let (before, size) = (self.places(world)[1].translation.vector, self.needle.form().size());
@@ -302,15 +299,11 @@ impl Task for NeedleRegrasp {
         if !one.vary(world, rng, &(Pose::from(way) * wrist), (growth, extent.contacts))
             || !one.is_in_reach()
         {
-            return None;
+            return false;
         }
         two.reset(world, rng);
         world.set_velocity(body, &Vector3::zeros());
-        Some(if extent.contacts && self.varies {
-            start::SETTLING_OF_OBJECTS
-        } else {
-            start::SETTLING
-        })
+        true
     }
 
     fn is_prepared(&self, world: &World) -> bool {

@@ -11,7 +11,6 @@ use trocar_proto::spec::GoalSpec;
 use super::goal;
 use super::objects::{self, Object, THEATRE};
 use super::options::{self, Domain, Preset};
-use super::start::{self, Extent};
 use super::tray;
 use crate::assets::{Model, Scaled};
 use crate::render::Scene;
@@ -295,12 +294,6 @@ impl PegBoard {
             }
         }
         layout.block.form().size() / size
-    }
-
-    /// Time in which the contacts of a varied start come to rest, s.
-    pub fn settling(&self, extent: Extent) -> f64 {
-        let varies = extent.contacts && self.domain.varies_contacts();
-        if varies { start::SETTLING_OF_OBJECTS } else { start::SETTLING }
     }
 
     /// A peg drawn from the targets.

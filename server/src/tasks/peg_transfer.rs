@@ -204,7 +204,7 @@ impl Task for PegTransfer {
         });
     }
 
-    fn vary(&mut self, world: &mut World, rng: &mut Rng, extent: Extent) -> Option<f64> {
+    fn vary(&mut self, world: &mut World, rng: &mut Rng, extent: Extent) -> bool {
         let body = self.layout.block.body();
         let (before, is_held) = (world.pose(body), self.arm.holds(world, body));
         let growth = self.board.vary(world, &mut self.layout, rng, extent.contacts);
@@ -215,12 +215,12 @@ impl Task for PegTransfer {
         if !self.arm.vary(world, rng, &wrist, (widening, extent.contacts))
             || !self.arm.is_in_reach()
         {
-            return None;
+            return false;
         }
         if is_held {
             world.set_velocity(body, &Vector3::zeros());
         }
-        Some(self.board.settling(extent))
+        true
     }
 
     fn is_prepared(&self, world: &World) -> bool {

@@ -108,8 +108,6 @@ pub struct Picking<O> {
     grasp: Grasp,
     start: Start,
     narrow: bool,
-    /// True if episodes draw the object's mass or size, or how the pad gives.
-    varies: bool,
     preset: Preset,
     pub(super) goal: Vector3<f64>,
 }
@@ -136,7 +134,6 @@ impl<O: Pickable> Registered for Picking<O> {
             grasp,
             start: Start::of(options),
             narrow: options.text("spawn") == Some("narrow"),
-            varies: Domain::of(options)?.varies_contacts(),
             preset,
             goal: Vector3::zeros(),
         };
@@ -175,7 +172,7 @@ impl<O: Pickable> Task for Picking<O> {
         start::bring_about(self, world, rng, self.arm.rate(), Self::begin, is_there);
     }
 
-    fn vary(&mut self, world: &mut World, rng: &mut Rng, extent: Extent) -> Option<f64> {
+    fn vary(&mut self, world: &mut World, rng: &mut Rng, extent: Extent) -> bool {
         let body = self.object.body();
         let (mut wrist, pose) = (*self.arm.true_wrist(), world.pose(body));
         let is_held = self.arm.holds(world, body);
@@ -209,16 +206,12 @@ impl<O: Pickable> Task for Picking<O> {
         if !self.arm.vary(world, rng, &wrist, (widening, extent.contacts))
             || !self.arm.is_in_reach()
         {
-            return None;
+            return false;
         }
         if is_held {
             world.set_velocity(body, &Vector3::zeros());
         }
-        Some(if extent.contacts && self.varies {
-            start::SETTLING_OF_OBJECTS
-        } else {
-            start::SETTLING
-        })
+        true
     }
 
     fn is_prepared(&self, world: &World) -> bool {

@@ -116,11 +116,11 @@ const VARIATIONS: [(usize, Extent); 6] = [
     (2, Extent { share: 0.5, contacts: false }),
 ];
 
-/// Time in which contacts come to rest if a held object only moves together with the jaws, s.
-pub(super) const SETTLING: f64 = 0.05;
+/// Time in which the contacts of a varied state come to rest, s. A slow object needs no more.
+const SETTLING: f64 = 0.1;
 
-/// The same if the object's size or mass is another, s.
-pub(super) const SETTLING_OF_OBJECTS: f64 = 0.1;
+/// Interval in which the speed of a faster object is checked, s.
+const SPEED_CHECK_INTERVAL: f64 = 0.05;
 
 /// Longest time in which contacts come to rest, s: two steps.
 const MAX_SETTLING_TIME: f64 = 0.4;
@@ -241,13 +241,14 @@ impl Starts {
         mut variation: Rng,
         extent: Extent,
     ) -> bool {
-        let Some(settling) = task.vary(world, &mut variation, extent) else { return false };
-        if !state.contacts.allows(&Contacts::of(task, world)) {
+        if !task.vary(world, &mut variation, extent)
+            || !state.contacts.allows(&Contacts::of(task, world))
+        {
             return false;
         }
         let objects: Vec<_> = world.objects().map(|body| (body, world.pose(body))).collect();
-        let mut left = rate::substeps(settling);
-        let [chunk, longest] = [SETTLING, MAX_SETTLING_TIME].map(rate::substeps);
+        let [mut left, chunk, longest] =
+            [SETTLING, SPEED_CHECK_INTERVAL, MAX_SETTLING_TIME].map(rate::substeps);
         let mut passed = 0;
         let is_fast =
             |world: &World| world.objects().any(|body| world.velocity(body).norm() >= MAX_SPEED);

@@ -255,12 +255,6 @@ impl Domain {
             .then(|| Variation { mass: mass.unwrap_or(1.0), size: size.unwrap_or(1.0) })
     }
 
-    /// True if mass, size, jaw friction or pad differ from episode to episode: contacts of a held object with them.
-    pub fn varies_contacts(&self) -> bool {
-        let ranges = [self.mass, self.size, self.friction, self.pad_stiffness, self.pad_depth];
-        ranges.iter().any(Range::is_given)
-    }
-
     /// Whether the pad gives.
     pub fn has_soft_pad(&self) -> bool {
         self.pad_depth.is_given()
