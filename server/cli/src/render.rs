@@ -38,8 +38,8 @@ Examples:
   trocar render --server own --task PushCube-v0 --out push.gif a task of a server of one's own
   trocar render --each pictures/                               one picture of each task
 
-Depth is brighter the nearer; every body has a colour of its own in the mask. MP4 is not written: GIF is
-what no other program is needed for.")]
+Depth is brighter the nearer; every body has a colour of its own in the mask. MP4 is not written,
+since GIF needs no other program.")]
 pub(crate) struct Render {
     /// A task id of `trocar tasks`, or all
     #[arg(long, default_value = "all", value_parser = crate::options::task_id)]
