@@ -24,7 +24,7 @@ static INTERRUPTED: AtomicBool = AtomicBool::new(false);
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
-  trocar drive                                    NeedlePick, at an address for your browser; Ctrl-C ends it
+  trocar drive                                    NeedlePick, in your browser; Ctrl-C ends it
   trocar drive --task BiPegTransfer-v0 --out mine.trocar
   trocar replay mine.trocar                       plays again what you did, bit by bit
 

@@ -13,7 +13,7 @@ use crate::process;
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
-  trocar learn NeedlePick                        a policy from 100 demonstrations of the scripted expert
+  trocar learn NeedlePick                        from 100 demonstrations of the expert
   trocar learn PegTransfer --view                and its viewer shows it as it learns
   trocar learn NeedlePick --algo bc --seed 1     any argument of `python -m trocar.rl train`
   python -m trocar learn NeedlePick              in this Python

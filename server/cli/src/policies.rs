@@ -45,7 +45,7 @@ fn read(task: &str, bytes: &[u8]) -> Network {
 #[command(after_help = "\
 Examples:
   trocar policies                                     a table
-  trocar policies --json                              {task, options, version, bytes} and the card of each
+  trocar policies --json                              {task, options, version, bytes} and the card
   trocar policies --save policies                     the files: policies/NeedlePick-v0.onnx, ...
   trocar rollout --policy NeedlePick --episodes 200   repeats the card's figure with other seeds
   trocar rollout --policy NeedlePick --view           shows it at work

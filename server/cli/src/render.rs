@@ -34,7 +34,7 @@ Examples:
   trocar render --task NeedlePick-v0 --eye 0.8,0.2,0.9 --target 0.55,0,0.7 --out near.png
   trocar render --task NeedlePick-v0 --look cavity --camera endoscope --out dark.png
   trocar render --policy NeedlePick --seconds 5 --out pick.gif one of `trocar policies`
-  trocar render --policy policy.onnx --out trained.gif         a policy of `python -m trocar.rl export`
+  trocar render --policy policy.onnx --out trained.gif    a policy of `python -m trocar.rl export`
   trocar render --server own --task PushCube-v0 --out push.gif a task of a server of one's own
   trocar render --each pictures/                               one picture of each task
 
