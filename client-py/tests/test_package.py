@@ -61,7 +61,7 @@ def test_a_missing_program_gets_advice(tmp_path: Path) -> None:
     if (Path(sys.executable).parent / "trocar").exists():
         pytest.skip("the program is installed beside this Python")
     said = run("-m", "trocar", PATH=str(tmp_path), TROCAR_BINARY="")
-    assert "pip install trocar-server" in said.stderr
+    assert "install the wheel trocar-server" in said.stderr
     assert said.returncode != 0
 
 

@@ -113,7 +113,7 @@ impl PrivateServer {
             .map_err(|error| {
                 let binary = self.binary.display();
                 let hint = format!(
-                    "install it (pip install trocar-server), or say in ${BINARY} where it is"
+                    "install it (the wheel trocar-server), or say in ${BINARY} where it is"
                 );
                 failed(&format!("{binary}: {hint}"), &error)
             })?;

@@ -6,7 +6,8 @@ import inspect
 import io
 import json
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from contextlib import closing
 from copy import deepcopy
 from pathlib import Path
 from typing import Any
@@ -41,6 +42,15 @@ PASSIVE = (
 SAMPLES = 16
 """Observations with which the file is compared to the model."""
 
+SCALED = "scaled"
+"""The word of the option ``observation`` for a state and goals that are scaled by their ranges."""
+
+STATES = ("state", "perceived")
+"""Words of the option ``observation`` for an unscaled state."""
+
+Ranges = Mapping[str, tuple[Any, Any]]
+"""Centre and half-width of the range of each element, by the names of inputs."""
+
 
 def export(
     model: BaseAlgorithm, path: str | os.PathLike[str], *, env: VecEnv | None = None
@@ -48,8 +58,9 @@ def export(
     """Writes the deterministic policy of a model of Stable-Baselines3 as an ONNX file.
 
     The file has the format of Trocar's own policies: its metadata hold the task, the options and
-    the version of Trocar. ``VecNormalize`` becomes a part of the network. The actions of the file
-    are compared with the actions of the model before the function returns.
+    the version of Trocar. ``VecNormalize`` becomes a part of the network. So does the scaling of
+    ``observation=("scaled",)``: the file takes unscaled arrays, and its options ask for them. The
+    actions of the file are compared with the actions of the model before the function returns.
 
     Args:
         model: A model of SAC, TD3, DDPG, PPO or A2C, with or without hindsight replay.
@@ -69,14 +80,16 @@ def export(
     env = model.get_env() if env is None else env
     if env is None:
         raise refuse(InvalidRequest, "env", None, "the model has no environments; give env=…")
-    task, options = _task(env)
+    task, options, server = _task(env)
     keys = _keys(model)
-    network = _Acting(model, keys, env).to("cpu").eval()
+    options, ranges = _unscaled(task, options, server)
+    network = _Acting(model, keys, env, ranges).to("cpu").eval()
     samples = _samples(model, keys)
+    inputs = {key: _plain(rows, ranges.get(key)) for key, rows in samples.items()}
     content = io.BytesIO()
     torch.onnx.export(
         network,
-        tuple(torch.from_numpy(samples[key][:1]) for key in keys),
+        tuple(torch.from_numpy(inputs[key][:1]) for key in keys),
         content,  # type: ignore[arg-type]
         input_names=keys,
         output_names=["action"],
@@ -91,7 +104,7 @@ def export(
     }
     onnx.helper.set_model_props(written, metadata)
     onnx.checker.check_model(written)
-    _compare(ReferenceEvaluator(written), model, env, samples)
+    _compare(ReferenceEvaluator(written), model, env, samples, inputs)
     target = Path(path)
     target.parent.mkdir(parents=True, exist_ok=True)
     onnx.save(written, str(target))
@@ -101,7 +114,9 @@ def export(
 class _Acting(nn.Module):
     """The deterministic policy of a model: arrays by name to an action in [-1, 1]."""
 
-    def __init__(self, model: BaseAlgorithm, keys: Sequence[str], env: VecEnv) -> None:
+    def __init__(
+        self, model: BaseAlgorithm, keys: Sequence[str], env: VecEnv, ranges: Ranges
+    ) -> None:
         super().__init__()
         policy: Any = model.policy
         # Tensors of the latest distribution cannot be copied; a deterministic policy has none.
@@ -109,6 +124,10 @@ class _Acting(nn.Module):
         self.policy: Any = deepcopy(policy, {id(part): part for part in parts})
         self.keys = tuple(keys)
         self.is_dict = isinstance(model.observation_space, spaces.Dict)
+        self.ranges = {
+            key: tuple(torch.tensor(each, dtype=torch.float32) for each in ends)
+            for key, ends in ranges.items()
+        }
         normal = _normal(env)
         self.normal = {key: _statistics(normal, key, self.is_dict) for key in self.keys}
 
@@ -116,6 +135,9 @@ class _Acting(nn.Module):
         """An action of shape (1, action dim) for arrays of shape (1, …)."""
         named = {}
         for key, array in zip(self.keys, arrays, strict=True):
+            if key in self.ranges:
+                centre, half = self.ranges[key]
+                array = (array - centre) / half
             statistics = self.normal[key]
             if statistics is not None:
                 mean, deviation, clip = statistics
@@ -146,8 +168,8 @@ def _action(policy: Any, seen: Any) -> torch.Tensor:
     return action
 
 
-def _task(env: VecEnv) -> tuple[str, dict[str, Any]]:
-    """Id without namespace and options of the task of environments.
+def _task(env: VecEnv) -> tuple[str, dict[str, Any], str | None]:
+    """Id without namespace and options of the task of environments, and the name of their server.
 
     Raises:
         InvalidRequest: The environments are not Trocar's, or single environments have wrappers.
@@ -156,8 +178,9 @@ def _task(env: VecEnv) -> tuple[str, dict[str, Any]]:
 
     inner = env.unwrapped
     if isinstance(inner, TrocarVecEnv):
-        request = inner.envs._connection._request
-        return request["task"], dict(request["options"])
+        connection = inner.envs._connection
+        request = connection._request
+        return request["task"], dict(request["options"]), connection._server
     spec = inner.get_attr("spec")[0] if inner.has_attr("spec") else None
     if spec is None or "task" not in spec.kwargs:
         allowed = "expected environments of trocar.sb3.make_vec, or of Gymnasium's ids trocar/…"
@@ -168,7 +191,40 @@ def _task(env: VecEnv) -> tuple[str, dict[str, Any]]:
         raise refuse(InvalidRequest, "env", names, allowed)
     own = inspect.signature(TrocarEnv.__init__).parameters
     options = {name: value for name, value in spec.kwargs.items() if name not in own}
-    return spec.kwargs["task"], options
+    return spec.kwargs["task"], options, spec.kwargs.get("server")
+
+
+def _unscaled(
+    task: str, options: Mapping[str, Any], server: str | None
+) -> tuple[dict[str, Any], Ranges]:
+    """The options without the word ``scaled``, and the ranges by which it scaled."""
+    words = options.get("observation", ())
+    words = [words] if isinstance(words, str) else list(words)
+    if SCALED not in words:
+        return dict(options), {}
+    words.remove(SCALED)
+    if not any(word in STATES for word in words):
+        words.insert(0, "state")
+    plain = {**options, "observation": words}
+    with closing(TrocarEnv(task, server=server, **plain)) as env:
+        state, goal = _range(env.task_spec.observation), _range(env.task_spec.goal or ())
+    return plain, {"observation": state, "achieved_goal": goal, "desired_goal": goal}
+
+
+def _range(elements: Sequence[Any]) -> tuple[Any, Any]:
+    """Centres and half-widths of the ranges of elements; 1 for a range of zero width."""
+    low = np.array([element.min for element in elements], np.float64)
+    high = np.array([element.max for element in elements], np.float64)
+    half = (high - low) / 2.0
+    return (low + high) / 2.0, np.where(half > 0.0, half, 1.0)
+
+
+def _plain(rows: Any, ends: tuple[Any, Any] | None) -> Any:
+    """Rows of scaled numbers as the file takes them, float32."""
+    if ends is None:
+        return rows
+    centre, half = ends
+    return (rows * half + centre).astype(np.float32)
 
 
 def _keys(model: BaseAlgorithm) -> list[str]:
@@ -239,20 +295,25 @@ def _samples(model: BaseAlgorithm, keys: Sequence[str]) -> dict[str, Any]:
     }
 
 
-def _compare(evaluator: Any, model: BaseAlgorithm, env: VecEnv, samples: dict[str, Any]) -> None:
-    """Compares the actions of a file and of its model.
+def _compare(
+    evaluator: Any,
+    model: BaseAlgorithm,
+    env: VecEnv,
+    samples: dict[str, Any],
+    inputs: dict[str, Any],
+) -> None:
+    """Compares the actions of a file for its inputs and of its model for the same samples.
 
     Raises:
         InvalidRequest: They differ, as those of a policy with operations of its own.
     """
     normal = _normal(env)
     for row in range(SAMPLES):
-        inputs = {key: rows[row : row + 1] for key, rows in samples.items()}
-        seen: Any = inputs if isinstance(model.observation_space, spaces.Dict) else None
-        seen = inputs["observation"] if seen is None else dict(inputs)
+        one = {key: rows[row : row + 1] for key, rows in samples.items()}
+        seen: Any = one if isinstance(model.observation_space, spaces.Dict) else one["observation"]
         seen = seen if normal is None else normal.normalize_obs(seen)
         expected, _ = model.predict(seen, deterministic=True)
-        found = evaluator.run(None, inputs)[0]
+        found = evaluator.run(None, {key: rows[row : row + 1] for key, rows in inputs.items()})[0]
         if not np.allclose(found, np.clip(expected, -1.0, 1.0), atol=TOLERANCE):
             allowed = "the file's actions differ from the model's; the policy class is unknown"
             raise refuse(InvalidRequest, "model", type(model.policy).__name__, allowed)

@@ -63,7 +63,8 @@ class TrocarEnv(Described, GoalFunctions, gym.Env[Observation, NDArray[np.float3
     ``episode_seed`` and ``episode_index``; ``tip_path``, the length (m) of the paths of the tips in
     the step, of all arms together; ``peak_force``, the largest force (N) between a jaw and a body
     in the step, averaged over 1/60 s; in tasks with soft bodies ``tissue_pressure`` (Pa),
-    ``overstretched`` and ``crushed``; with ``expert=True`` also ``expert_action`` and ``expert_stage``.
+    ``overstretched`` and ``crushed``; with ``expert=True`` also ``expert_action`` and
+    ``expert_stage``.
 
     A copy, pickled or deep, has no session; its first ``reset`` opens one. So does a reset in a
     forked child process, and a reset after the server was lost. Without a seed, such a reset begins

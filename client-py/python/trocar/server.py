@@ -25,7 +25,7 @@ def binary() -> str:
     """The path of the ``trocar`` program.
 
     It is ``$TROCAR_BINARY`` (a relative path starts at the working directory that this process had
-    when it imported ``trocar``), else the one that ``pip install trocar-server`` put beside this
+    when it imported ``trocar``), else the one that the wheel ``trocar-server`` put beside this
     Python, else the one on the PATH.
 
     Raises:
@@ -42,8 +42,8 @@ def binary() -> str:
     found = shutil.which("trocar", path=os.pathsep.join(folders)) or shutil.which("trocar")
     if found is None:
         raise LaunchError(
-            "the trocar program was not found; install it (pip install trocar-server), or say in "
-            f"${_trocar.BINARY} where it is"
+            "the trocar program was not found; install the wheel trocar-server that `make wheels` "
+            f"writes, or say in ${_trocar.BINARY} where the program is"
         )
     return found
 

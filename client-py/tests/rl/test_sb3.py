@@ -385,6 +385,30 @@ def test_a_policy_of_a_task_without_goals_is_exported(server: str, tmp_path: Pat
     envs.close()
 
 
+@pytest.mark.parametrize("is_normalised", [False, True])
+def test_scaling_becomes_a_part_of_the_file(
+    is_normalised: bool, server: str, tmp_path: Path
+) -> None:
+    scaled: VecEnv = make_vec(TASK, 2, seed=0, server=server, observation=("scaled", "joints"))
+    if is_normalised:
+        scaled = VecNormalize(scaled)
+        scaled.reset()
+    model = SAC("MultiInputPolicy", scaled, seed=0)
+    policy = load(str(export(model, tmp_path / "policy.onnx")))
+    assert policy.options == {"observation": ["state", "joints"]}
+    plain = make_vec(TASK, 2, seed=0, server=server, **policy.options)
+    if isinstance(scaled, VecNormalize):
+        scaled.training = False
+    scaled.seed(0)
+    seen, unscaled = scaled.reset(), plain.reset()
+    expected, _ = model.predict(seen, deterministic=True)  # type: ignore[arg-type]
+    for row in range(2):
+        one = {key: rows[row] for key, rows in unscaled.items()}
+        assert policy(one, 5) == pytest.approx(expected[row], abs=1e-4)
+    scaled.close()
+    plain.close()
+
+
 def test_policies_that_a_file_cannot_have_are_refused(server: str, tmp_path: Path) -> None:
     path = tmp_path / "policy.onnx"
     seen: dict[str, Any] = {"observation": ["state", "rgb"], "image_size": [36, 36]}

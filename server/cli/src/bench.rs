@@ -56,8 +56,8 @@ A measurement takes whole episodes, at least one of every environment. A step is
 step; resets take part of the time and are not counted. CPU time is that of the server (or this
 process) and of the client, waiting included where it burns any. client_py needs a Python with the
 package trocar: $TROCAR_PYTHON, else python3. With --json: {task, mode, policy, envs, clients,
-threads, steps_per_second, steps_per_cpu_second, ratio_to_in_process}; the ratio is that of steps per second,
-null where in_process was not measured.")]
+threads, steps_per_second, steps_per_cpu_second, ratio_to_in_process}; the ratio is that of steps
+per second, null where in_process was not measured.")]
 pub(crate) struct Bench {
     /// A task id of `trocar tasks`, or all
     #[arg(long, default_value = "all", value_parser = crate::options::task_id)]

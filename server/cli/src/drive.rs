@@ -24,11 +24,12 @@ static INTERRUPTED: AtomicBool = AtomicBool::new(false);
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
-  trocar drive                                    NeedlePick, at an address for your browser; Ctrl-C ends it
+  trocar drive                                    NeedlePick, in your browser; Ctrl-C ends it
   trocar drive --task BiPegTransfer-v0 --out mine.trocar
   trocar replay mine.trocar                       plays again what you did, bit by bit
 
-The address has a token, which lets a page drive the arms: keep it to yourself. Key ? shows all keys.")]
+The address has a token, which lets a page drive the arms: keep it to yourself. Key ? shows all
+keys.")]
 pub(crate) struct Drive {
     /// A task id of `trocar tasks`
     #[arg(long, default_value = "NeedlePick-v0", value_parser = crate::options::task_id)]

@@ -13,13 +13,13 @@ use crate::process;
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
-  trocar learn NeedlePick                        a policy from 100 demonstrations of the scripted expert
+  trocar learn NeedlePick                        from 100 demonstrations of the expert
   trocar learn PegTransfer --view                and its viewer shows it as it learns
   trocar learn NeedlePick --algo bc --seed 1     any argument of `python -m trocar.rl train`
   python -m trocar learn NeedlePick              in this Python
 
-Needs the extra: pip install 'trocar[rl]'. A run writes its curve and its policies into a folder of `runs`,
-and says how long it will take. Ctrl-C interrupts it, --resume goes on.")]
+Needs the extra: pip install 'trocar[rl]'. A run writes its curve and its policies into a folder
+of `runs`, and says how long it will take. Ctrl-C interrupts it, --resume goes on.")]
 pub(crate) struct Learn {
     /// A task of `trocar tasks`
     task: String,

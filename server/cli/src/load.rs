@@ -51,16 +51,17 @@ Examples:
   trocar load --others BiPegTransfer-v0                  one client beside seven that compute much
   TROCAR_PYTHON=.venv/bin/python trocar load --python    clients in Python
 
-A message steps all environments of a client; its latency is seen from the client. Fairness is Jain's
-index of environment steps per second in which a client had a session and was not stopped: 1 is even.
-A mismatch is a session that departs from its twin. A leak is what there is more at the end than before
-the first client: sessions, files in /dev/shm and memory behind them, open files and mappings of the
-server. Beside other clients, only sessions are looked at. Half of the environments follow the scripted
-expert, the others act at random.
+A message steps all environments of a client; its latency is seen from the client. Fairness is
+Jain's index of environment steps per second in which a client had a session and was not stopped:
+1 is even. A mismatch is a session that departs from its twin. A leak is what there is more at the
+end than before the first client: sessions, files in /dev/shm and memory behind them, open files
+and mappings of the server. Beside other clients, only sessions are looked at. Half of the
+environments follow the scripted expert, the others act at random.
 
-With --others, the share of the first client implies that a message takes its own computation and one
-quantum of each other client, on as many threads as there are cores; a quantum counts as a step of one of their
-environments, but at least 1 ms. Both are measured in the twins, that is under the same load.
+With --others, the share of the first client implies that a message takes its own computation and
+one quantum of each other client, on as many threads as there are cores; a quantum counts as a
+step of one of their environments, but at least 1 ms. Both are measured in the twins, that is
+under the same load.
 
 With --json: {clients, envs, steps, steps_per_second, p50_us, p99_us,
 jain, killed, reclaimed, stopped, restarts, errors, mismatches, leaked, server_memory_bytes}; with

@@ -45,14 +45,14 @@ fn read(task: &str, bytes: &[u8]) -> Network {
 #[command(after_help = "\
 Examples:
   trocar policies                                     a table
-  trocar policies --json                              {task, options, version, bytes} and the card of each
+  trocar policies --json                              {task, options, version, bytes} and the card
   trocar policies --save policies                     the files: policies/NeedlePick-v0.onnx, ...
   trocar rollout --policy NeedlePick --episodes 200   repeats the card's figure with other seeds
   trocar rollout --policy NeedlePick --view           shows it at work
 
-Success is that of an episode's last step. The last three columns are rollouts in conditions that the
-policy was not trained with: twice as many steps a second, arms that are 60 ms late, and noise of 0.5 mm
-that they add to each command.")]
+Success is that of an episode's last step. The last three columns are rollouts in conditions that
+the policy was not trained with: twice as many steps a second, arms that are 60 ms late, and noise
+of 0.5 mm that they add to each command.")]
 pub(crate) struct Policies {
     /// Write the ONNX files into this folder
     #[arg(long, value_name = "FOLDER")]

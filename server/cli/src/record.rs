@@ -30,15 +30,15 @@ static INTERRUPTED: AtomicBool = AtomicBool::new(false);
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
-  trocar record --task NeedlePick-v0 --episodes 5 --out pick.trocar     the scripted expert, in this process
-  trocar record --policy NeedlePick --out trained.trocar                one of `trocar policies`
-  trocar record --name lab --session 3 --env 0 --out live.trocar        what a trainer does, until Ctrl-C
-  trocar replay pick.trocar                                             plays it again and compares every bit
+  trocar record --task NeedlePick-v0 --episodes 5 --out pick.trocar   the scripted expert
+  trocar record --policy NeedlePick --out trained.trocar              one of `trocar policies`
+  trocar record --name lab --session 3 --env 0 --out live.trocar      a trainer, until Ctrl-C
+  trocar replay pick.trocar                                           compares every bit
 
-A recording has the task, its options, seeds and actions, and a snapshot each --every steps and at the end of
-every episode; Python can go on from any of them (trocar.Snapshot.from_bytes). A session is recorded from the
-beginning of its present episode on; its trainer notices nothing. A live world is recorded from its beginning on,
-with all commands to its arms.")]
+A recording has the task, its options, seeds and actions, and a snapshot each --every steps and at
+the end of every episode; Python can go on from any of them (trocar.Snapshot.from_bytes). A
+session is recorded from the beginning of its present episode on; its trainer notices nothing. A
+live world is recorded from its beginning on, with all commands to its arms.")]
 pub(crate) struct Record {
     /// A task id of `trocar tasks` [default: the policy's]
     #[arg(long, conflicts_with = "session", value_parser = crate::options::task_id)]

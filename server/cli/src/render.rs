@@ -34,12 +34,12 @@ Examples:
   trocar render --task NeedlePick-v0 --eye 0.8,0.2,0.9 --target 0.55,0,0.7 --out near.png
   trocar render --task NeedlePick-v0 --look cavity --camera endoscope --out dark.png
   trocar render --policy NeedlePick --seconds 5 --out pick.gif one of `trocar policies`
-  trocar render --policy policy.onnx --out trained.gif         a policy of `python -m trocar.rl export`
+  trocar render --policy policy.onnx --out trained.gif    a policy of `python -m trocar.rl export`
   trocar render --server own --task PushCube-v0 --out push.gif a task of a server of one's own
   trocar render --each pictures/                               one picture of each task
 
-Depth is brighter the nearer; every body has a colour of its own in the mask. MP4 is not written: GIF is
-what no other program is needed for.")]
+Depth is brighter the nearer; every body has a colour of its own in the mask. MP4 is not written,
+since GIF needs no other program.")]
 pub(crate) struct Render {
     /// A task id of `trocar tasks`, or all
     #[arg(long, default_value = "all", value_parser = crate::options::task_id)]

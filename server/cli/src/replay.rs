@@ -24,14 +24,15 @@ use crate::serve::parse_address;
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
-  trocar replay pick.trocar                               what happened, and whether it is still the same
+  trocar replay pick.trocar                               the episodes, and whether bits differ
   trocar replay pick.trocar --out pick.gif --camera endoscope
   trocar replay pick.trocar --episode 2 --out third.png --moments 6
   trocar replay pick.trocar --view 8080                   in the browser, with a slider for the time
   trocar replay --json ~/.local/state/trocar/failures/*.trocar
 
-A recording that was cut off is played up to its last whole part. Where the bits of a state are not those that were recorded, it says which and fails. With --json, an episode a
-line: {file, episode, task, seed, number, steps, snapshots, return, success, failed}.")]
+A recording that was cut off is played up to its last whole part. Where the bits of a state are
+not those that were recorded, it says which and fails. With --json, an episode a line: {file,
+episode, task, seed, number, steps, snapshots, return, success, failed}.")]
 pub(crate) struct Replay {
     /// Recordings of `trocar record`, or of failures
     #[arg(required = true, value_name = "FILE.trocar")]

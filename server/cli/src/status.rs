@@ -25,9 +25,10 @@ Examples:
   trocar status --name lab --watch       one server, once a second until Ctrl-C
   trocar status --name lab --json        {name, pid, epoch, uptime_s, sessions, memory_bytes}
 
-CPU is that of the server's process since the last look, or since its start, where it is seen from here;
-memory is what sessions are counted with, and what of the process is in RAM. Latencies are the time that the server takes for one message (a step of all of a session's
-environments), without the way through shared memory.")]
+CPU is the load of the server's process since the last look, or since its start. Memory is the
+memory that counts for sessions, and the memory of the process in RAM. Latencies are the server's
+times for one message (a step of all environments of a session), without the way through shared
+memory.")]
 pub(crate) struct Status {
     /// The server to show [default: every running server of this user]
     #[arg(long)]

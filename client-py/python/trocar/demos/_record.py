@@ -251,7 +251,8 @@ def _writer(format: str) -> Callable[[Path, Recipe, TaskSpec, Iterator[Episode]]
 def _finished(target: Path, recipe: Recipe, resume: bool) -> Recording:
     """What is there already, if it is what was asked for and ``resume`` is."""
     if not resume:
-        raise refuse(InvalidRequest, "out", str(target), "there is a data set already")
+        allowed = "there is a data set already; choose another --out or --name, or --resume"
+        raise refuse(InvalidRequest, "out", str(target), allowed)
     _claim(target, recipe)
     told = json.loads((target / "recording.json").read_text())
     return Recording(**(told | {"path": str(target)}))

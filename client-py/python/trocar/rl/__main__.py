@@ -47,25 +47,30 @@ def _parser() -> argparse.ArgumentParser:
     train = commands.add_parser("train", help="train a policy")
     train.set_defaults(run=_train)
     _chosen(train)
-    train.add_argument("--seed", type=int, default=0)
-    train.add_argument("--out", type=output_folder, default="runs", help="folder of runs")
+    train.add_argument("--seed", type=int, default=0, help="seed of the run (%(default)s)")
+    train.add_argument(
+        "--out", type=output_folder, default="runs", help="folder of runs (%(default)s)"
+    )
     train.add_argument("--resume", action="store_true", help="go on with a run that is there")
     train.add_argument("--demos", help="folder of a Minari data set, instead of the expert")
-    train.add_argument("--epochs", type=int)
-    train.add_argument("--envs", type=int)
+    train.add_argument("--epochs", type=int, help="number of epochs (the configuration's)")
+    train.add_argument("--envs", type=int, help="environments at a time (the configuration's)")
     train.add_argument("--server", help="name of a running server; one of its own by default")
-    train.add_argument("--threads", type=int, default=1, help="of PyTorch")
-    train.add_argument("--view", action="store_true", help="say where the viewer shows it")
+    train.add_argument("--threads", type=int, default=1, help="threads of PyTorch (%(default)s)")
+    train.add_argument("--view", action="store_true", help="print the address of the viewer")
 
     _trust(train)
 
     evaluate = commands.add_parser("evaluate", help="how often a policy succeeds, as JSON")
     evaluate.set_defaults(run=_evaluate)
-    evaluate.add_argument("run_folder", type=Path, metavar="RUN")
-    evaluate.add_argument("--policy", choices=("best", "last"), default="best")
-    evaluate.add_argument("--episodes", type=int, default=200)
-    evaluate.add_argument("--seed", type=int, help="of the first episode")
-    evaluate.add_argument("--envs", type=int, default=50)
+    _run(evaluate)
+    evaluate.add_argument(
+        "--episodes", type=int, default=200, help="number of episodes (%(default)s)"
+    )
+    evaluate.add_argument("--seed", type=int, help="seed of the first episode (2000000)")
+    evaluate.add_argument(
+        "--envs", type=int, default=50, help="most environments at a time (%(default)s)"
+    )
     evaluate.add_argument("--server", help="name of a running server; one of its own by default")
     evaluate.add_argument(
         "--conditions", action="store_true", help="also late, disturbed, and at twice the rate"
@@ -79,22 +84,27 @@ def _parser() -> argparse.ArgumentParser:
 
     curves = commands.add_parser("curves", help="the figure of all runs in a folder")
     curves.set_defaults(run=_curves)
-    curves.add_argument("runs", type=Path)
+    curves.add_argument("runs", type=Path, help="folder of runs")
     curves.add_argument(
-        "--out", type=output_file, default="curves.png", help=".png; .csv beside it"
+        "--out", type=output_file, default="curves.png", help=".png; .csv beside it (%(default)s)"
     )
 
     report = commands.add_parser("report", help="a page with tables and figures of all runs")
     report.set_defaults(run=_report)
-    report.add_argument("runs", type=Path)
-    report.add_argument("--out", type=output_file, default="RESULTS.md")
-    report.add_argument("--pictures", type=output_folder, default=".", help="folder of the figures")
+    report.add_argument("runs", type=Path, help="folder of runs")
+    report.add_argument(
+        "--out", type=output_file, default="RESULTS.md", help="the page (%(default)s)"
+    )
+    report.add_argument(
+        "--pictures", type=output_folder, default=".", help="folder of the figures (%(default)s)"
+    )
 
     export = commands.add_parser("export", help="a policy as ONNX, for trocar rollout")
     export.set_defaults(run=_export)
-    export.add_argument("run_folder", type=Path, metavar="RUN")
-    export.add_argument("--policy", choices=("best", "last"), default="best")
-    export.add_argument("--out", type=output_file, default="policy.onnx")
+    _run(export)
+    export.add_argument(
+        "--out", type=output_file, default="policy.onnx", help="the file (%(default)s)"
+    )
     export.add_argument(
         "--card", action="store_true", help="write into the file how well it does, once evaluated"
     )
@@ -104,7 +114,9 @@ def _parser() -> argparse.ArgumentParser:
     best = commands.add_parser("best", help="each task's best policy as ONNX, and their page")
     best.set_defaults(run=_best)
     best.add_argument("runs", type=Path, help="folder of runs, which were evaluated")
-    best.add_argument("--out", type=output_folder, default="policies", help="folder of the files")
+    best.add_argument(
+        "--out", type=output_folder, default="policies", help="folder of the files (%(default)s)"
+    )
 
     _trust(best)
 
@@ -112,6 +124,18 @@ def _parser() -> argparse.ArgumentParser:
     configs.set_defaults(run=lambda given: print(_config(given).to_json()))
     _chosen(configs)
     return parser
+
+
+def _run(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "run_folder", type=Path, metavar="RUN", help="folder of a run, as train printed it"
+    )
+    parser.add_argument(
+        "--policy",
+        choices=("best", "last"),
+        default="best",
+        help="the best policy of the run by its scores, or the last one (%(default)s)",
+    )
 
 
 def _trust(parser: argparse.ArgumentParser) -> None:

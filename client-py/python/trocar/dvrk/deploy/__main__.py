@@ -119,7 +119,7 @@ def parser() -> argparse.ArgumentParser:
     limits = Limits()
     for flag, what, unit in LIMITS:
         default = getattr(limits, flag.replace("-", "_"))
-        kind = f"%(default)s {unit}" if default is not None else f"none, {unit}"
+        kind = f"%(default)s {unit}" if default is not None else "no limit"
         parser.add_argument(f"--{flag}", type=float, default=default, help=f"{what} ({kind})")
     parser.add_argument(
         "--box",
@@ -149,9 +149,9 @@ LIMITS = (
     ("rate", "set-points in a second", "Hz"),
     ("stale", "longest silence of a topic", "s"),
     ("jump", "farthest that an object's pose moves in a step", "m"),
-    ("patience", "how long poses may jump", "s"),
-    ("step", "farthest that a wrist is sent in a step", "m"),
-    ("turn", "farthest that a wrist is turned in a step", "rad"),
+    ("patience", "longest wait for missing topics and jumping poses", "s"),
+    ("step", "farthest that a wrist is sent in a step, m", "m"),
+    ("turn", "farthest that a wrist or a joint of the ECM is turned in a step, rad", "rad"),
     ("held-up", "how far off its set-point an arm counts as held up", "m"),
 )
 

@@ -5,17 +5,20 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
-from trocar.dvrk.deploy.board import Board
 from trocar.dvrk.deploy.geometry import Numbers, Pose, between
 from trocar.dvrk.deploy.limits import Stopped
 from trocar.dvrk.deploy.observation import Layout, Reading
 from trocar.dvrk.deploy.pictures import Colour, Lens, find, locate
 from trocar.dvrk.deploy.task import Task
 from trocar.errors import InvalidOption, refuse
+
+if TYPE_CHECKING:
+    # The package's import of this module would otherwise import the program `board` before it runs.
+    from trocar.dvrk.deploy.board import Board
 
 HISTORY = 64
 """How many places of the endoscope are kept: one of each step."""
