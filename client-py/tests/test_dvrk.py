@@ -201,11 +201,11 @@ def test_the_same_script_gives_the_same_numbers(server: str) -> None:
 
 def test_the_command_line_says_what_is_wrong(server: str) -> None:
     """A task or a server that there is not."""
-    done = run(server, "--task", "NeedleReach-v9", "script.py")
+    done = run(server, "--task", "NeedleReach-v9", f"{SCRIPTS}/random_moves.py")
     assert done.returncode == 1
     assert "NeedleReach-v9" in done.stderr
     assert "Traceback" not in done.stderr
-    done = run("no-such-server", "script.py")
+    done = run("no-such-server", f"{SCRIPTS}/random_moves.py")
     assert "trocar serve --name no-such-server" in done.stderr
 
 

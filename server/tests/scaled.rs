@@ -6,8 +6,8 @@ use trocar_proto::{OptionValue, Options};
 use trocar_server::Registry;
 use trocar_server::env::Env;
 
-/// Steps of an episode: enough for the expert to grasp.
-const STEPS: u32 = 25;
+/// Steps of an episode.
+const STEPS: u32 = 12;
 
 fn with_words(words: &[&str]) -> Options {
     let words = words.iter().map(ToString::to_string).collect();

@@ -10,7 +10,7 @@ use trocar_server::dvrk::Homing;
 use trocar_server::env::{Env, LiveWorld};
 
 /// Seeds of each case: more than there are prepared states.
-const SEEDS: u64 = 128;
+const SEEDS: u64 = 80;
 
 /// Largest speed of an object at the beginning, m/s.
 const MAX_SPEED: f64 = 5e-3;
