@@ -116,11 +116,12 @@ const VARIATIONS: [(usize, Extent); 6] = [
     (2, Extent { share: 0.5, contacts: false }),
 ];
 
-/// Time in which the contacts of a varied state come to rest, s. A slow object needs no more.
-const SETTLING: f64 = 0.1;
+/// Attempts with other draws of all rows, if no attempt of [`VARIATIONS`] is valid: some errors of arms leave no room
+/// between jaws and object.
+const REDRAWS: usize = 16;
 
-/// Interval in which the speed of a faster object is checked, s.
-const SPEED_CHECK_INTERVAL: f64 = 0.05;
+/// Interval in which the contacts of a varied state come to rest, s; repeated while an object is fast.
+const SETTLING: f64 = 0.05;
 
 /// Longest time in which contacts come to rest, s: two steps.
 const MAX_SETTLING_TIME: f64 = 0.4;
@@ -212,7 +213,17 @@ impl Starts {
             let state = self.state((drawn + further) % COUNT);
             task.clone_from(&state.task);
             world.clone_from(&state.world);
-            if self.vary(state, task.as_mut(), world, variation.clone(), extent) {
+            if self.vary(state, task.as_mut(), world, &mut variation.clone(), extent) {
+                return;
+            }
+        }
+        let mut redrawn = variation.clone();
+        for further in 0..REDRAWS {
+            let state = self.state((drawn + further) % COUNT);
+            task.clone_from(&state.task);
+            world.clone_from(&state.world);
+            let extent = Extent { share: 0.5, contacts: true };
+            if self.vary(state, task.as_mut(), world, &mut redrawn, extent) {
                 return;
             }
         }
@@ -238,28 +249,26 @@ impl Starts {
         state: &State,
         task: &mut dyn Task,
         world: &mut World,
-        mut variation: Rng,
+        variation: &mut Rng,
         extent: Extent,
     ) -> bool {
-        if !task.vary(world, &mut variation, extent)
+        if !task.vary(world, variation, extent)
             || !state.contacts.allows(&Contacts::of(task, world))
         {
             return false;
         }
         let objects: Vec<_> = world.objects().map(|body| (body, world.pose(body))).collect();
-        let [mut left, chunk, longest] =
-            [SETTLING, SPEED_CHECK_INTERVAL, MAX_SETTLING_TIME].map(rate::substeps);
+        let [interval, longest] = [SETTLING, MAX_SETTLING_TIME].map(rate::substeps);
         let mut passed = 0;
         let is_fast =
             |world: &World| world.objects().any(|body| world.velocity(body).norm() >= MAX_SPEED);
-        while left > 0 || passed < longest && is_fast(world) {
-            let part = left.max(chunk).min(self.substeps);
+        while passed == 0 || passed < longest && is_fast(world) {
+            let part = interval.min(self.substeps);
             let mut time = time::Time::default();
             time.command(task, world, None, self.substeps);
             time.pass(task, world, part);
             time.sense(task);
             task.after_step(world);
-            left = left.saturating_sub(part);
             passed += part;
         }
         let rests = |(body, before): &(BodyId, Pose)| {
