@@ -30,3 +30,15 @@ mod stages;
 mod starts;
 mod suite;
 mod time;
+
+use trocar_server::env::Env;
+
+/// Observation, achieved and desired goal.
+fn look(env: &Env) -> [Vec<f32>; 3] {
+    let spec = env.spec();
+    let mut seen =
+        [spec.observation_dim(), spec.goal_dim(), spec.goal_dim()].map(|dim| vec![0.0; dim]);
+    let [observation, achieved, desired] = &mut seen;
+    env.observe(observation, achieved, desired);
+    seen
+}

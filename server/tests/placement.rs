@@ -9,6 +9,8 @@ use trocar_server::recording::{self, Recorder, Replay};
 use trocar_server::sim::frames::{self, Pose};
 use trocar_server::{Env, Registry};
 
+use crate::look as seen;
+
 /// Tasks whose objects may be placed, and the names of these.
 const GRASPING: [(&str, usize); 5] = [
     ("NeedleReach-v0", 1),
@@ -56,16 +58,6 @@ fn goal(goal: &[f64]) -> Placement {
 
 fn tip(tip: &[f64]) -> Placement {
     Placement { tip: Some(tip.to_vec()), ..Placement::default() }
-}
-
-/// Observation, achieved and desired goal.
-fn seen(env: &Env) -> [Vec<f32>; 3] {
-    let spec = env.spec();
-    let mut seen =
-        [spec.observation_dim(), spec.goal_dim(), spec.goal_dim()].map(|dim| vec![0.0; dim]);
-    let [observation, achieved, desired] = &mut seen;
-    env.observe(observation, achieved, desired);
-    seen
 }
 
 /// Everything that could be otherwise: what is seen, where objects are, what the expert would do.

@@ -6,6 +6,8 @@ use trocar_proto::{OptionValue, Options};
 use trocar_server::Registry;
 use trocar_server::env::Env;
 
+use crate::look;
+
 /// Steps of an episode: enough for the expert to grasp.
 const STEPS: u32 = 25;
 
@@ -21,16 +23,6 @@ fn noisy(options: Options) -> Options {
 
 fn make(id: &str, options: &Options) -> Env {
     Registry::builtin().make(id, options).unwrap()
-}
-
-/// Observation, achieved and desired goal.
-fn look(env: &Env) -> [Vec<f32>; 3] {
-    let spec = env.spec();
-    let mut seen =
-        [spec.observation_dim(), spec.goal_dim(), spec.goal_dim()].map(|dim| vec![0.0; dim]);
-    let [observation, achieved, desired] = &mut seen;
-    env.observe(observation, achieved, desired);
-    seen
 }
 
 /// Calls `see` with what the expert's episode of `seed` shows under each of `options`, step by step.

@@ -6,6 +6,8 @@ use trocar_proto::{OptionValue, Options};
 use trocar_server::Registry;
 use trocar_server::env::Env;
 
+use crate::look;
+
 /// Steps of an episode.
 const STEPS: u32 = 12;
 
@@ -16,16 +18,6 @@ fn with_words(words: &[&str]) -> Options {
 
 fn make(id: &str, words: &[&str]) -> Env {
     Registry::builtin().make(id, &with_words(words)).unwrap()
-}
-
-/// Observation, achieved and desired goal.
-fn look(env: &Env) -> [Vec<f32>; 3] {
-    let spec = env.spec();
-    let mut seen =
-        [spec.observation_dim(), spec.goal_dim(), spec.goal_dim()].map(|dim| vec![0.0; dim]);
-    let [observation, achieved, desired] = &mut seen;
-    env.observe(observation, achieved, desired);
-    seen
 }
 
 fn check_unscaled(id: &str, scaled: &[f32], plain: &[f32], elements: &[Element]) {

@@ -284,8 +284,8 @@ impl Motion {
         }
     }
 
-    /// Brings the instruments to the end where nothing is in their way, and gives the length of their tips' paths, m;
-    /// `None` where something is. The world must be at rest.
+    /// Moves the instruments to the end of the motion if their way is free. Returns the path length of the tips, m, or
+    /// `None` if a body is in the way. The world must be at rest.
     fn finish(&mut self, instruments: &mut [&mut Instrument], world: &World) -> Option<f64> {
         let ends: Places = self.ways.iter().map(|way| way.profile.end()).collect();
         if !are_free(&ends, instruments, world) {
@@ -302,8 +302,8 @@ impl Motion {
         Some(tip_path)
     }
 
-    /// Brings the instruments on by `substeps` substeps where nothing is in their way, and gives the length of their
-    /// tips' paths, m; `None` where something is. The world must be at rest.
+    /// Moves the instruments by `substeps` substeps if their way is free. Returns the path length of the tips, m, or
+    /// `None` if a body is in the way. The world must be at rest.
     fn glide(
         &mut self,
         substeps: u32,

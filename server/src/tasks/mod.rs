@@ -110,8 +110,7 @@ pub trait Registered: Task + Clone + Sized {
     fn new(options: &Options) -> Result<(Self, World), Rejection>;
 }
 
-/// A task: what it looks like from outside, how an episode begins, what an action asks for, what is
-/// seen. Letting time pass, counting steps, the time limit, checking actions, goal rewards and randomisation that is
+/// A task: specification, beginning of an episode, commands of an action, state and goals. Letting time pass, counting steps, the time limit, checking actions, goal rewards and randomisation that is
 /// the same for every task are [`Env`](crate::Env)'s. What every specification repeats is the [`Registry`](crate::Registry)'s.
 pub trait Task: CloneTask + Send + Sync + 'static {
     /// The elements of an action; they never change.

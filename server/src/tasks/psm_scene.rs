@@ -349,7 +349,7 @@ impl PsmArm {
         self.draw_errors(offsets, rng);
     }
 
-    /// Says how far the jaws may be pressed into what lies under them, m.
+    /// Sets the largest depth of the jaws in a soft pad, m.
     pub fn give(&mut self, depth: f64) {
         self.give = depth;
     }
@@ -431,7 +431,7 @@ impl PsmArm {
         }
     }
 
-    /// How far the jaws are told to be open now, on their way to what the latest command asked for, rad.
+    /// Present set point of the opening of the jaws, rad. It moves towards the latest command.
     pub fn told_opening(&self) -> f64 {
         self.instrument.posture().jaw
     }

@@ -6,8 +6,8 @@
 //! The seed of an episode chooses a state and varies it: jaws and object move together to another place, and the rows
 //! of `domain` are drawn anew, for an object that is held already as well. Afterwards contacts come to rest, in at
 //! most two steps. A variation is valid if the object stays where the jaws brought it, at rest, without a new overlap.
-//! Otherwise the next attempt has a smaller extent or another prepared state. If none is valid, the prepared state stays
-//! as it is.
+//! Otherwise the next attempt has a smaller extent or another prepared state; later attempts also draw all rows again.
+//! Without a valid attempt, the episode begins in the unvaried state.
 //!
 //! The true pose of an arm that holds an object does not depend on the arm's errors: sensors report another pose. An arm
 //! without an object begins at its sensed pose.
@@ -210,27 +210,29 @@ impl Starts {
     ) {
         let drawn = rng.index(COUNT);
         for (further, extent) in VARIATIONS {
-            let state = self.state((drawn + further) % COUNT);
-            task.clone_from(&state.task);
-            world.clone_from(&state.world);
+            let state = self.restore((drawn + further) % COUNT, task, world);
             if self.vary(state, task.as_mut(), world, &mut variation.clone(), extent) {
                 return;
             }
         }
         let mut redrawn = variation.clone();
         for further in 0..REDRAWS {
-            let state = self.state((drawn + further) % COUNT);
-            task.clone_from(&state.task);
-            world.clone_from(&state.world);
+            let state = self.restore((drawn + further) % COUNT, task, world);
             let extent = Extent { share: 0.5, contacts: true };
             if self.vary(state, task.as_mut(), world, &mut redrawn, extent) {
                 return;
             }
         }
         tracing::debug!("no variation of the prepared start is valid");
-        let state = self.state(drawn);
+        self.restore(drawn, task, world);
+    }
+
+    /// Copies a prepared state into `task` and `world`.
+    fn restore(&self, index: usize, task: &mut Box<dyn Task>, world: &mut World) -> &State {
+        let state = self.state(index);
         task.clone_from(&state.task);
         world.clone_from(&state.world);
+        state
     }
 
     fn state(&self, index: usize) -> &State {

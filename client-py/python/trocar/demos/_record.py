@@ -259,7 +259,7 @@ def _finished(target: Path, recipe: Recipe, resume: bool) -> Recording:
 
 
 def _claim(folder: Path, recipe: Recipe) -> None:
-    """Says in a folder what is recorded there; an error where that is something else."""
+    """Writes the recipe into a folder; raises an error if the folder has another recipe."""
     path = folder / RECIPE
     if not path.exists():
         beside = path.with_suffix(".tmp")

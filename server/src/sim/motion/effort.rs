@@ -1,4 +1,4 @@
-//! What a motion asks of the instruments: how far their tips go, and how hard their jaws press.
+//! Effort of a motion: path lengths of the tips and largest forces of the jaws.
 
 use std::ops::AddAssign;
 

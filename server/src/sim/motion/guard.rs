@@ -11,8 +11,8 @@
 //!   they would squeeze with many times their force at the tip, and keep.
 //! - **Static bodies** stop every instrument before wrist or fingers enter them, also if the fingers are locked.
 //!   Fingers yield to the body on which they close, not to a body into which the wrist pushes them.
-//! - **Distance**: the shafts of two instruments, which nothing else keeps apart, wait where they
-//!   would come closer than they are thick.
+//! - **Distance**: the shafts of two instruments stop before the distance of their axes falls below
+//!   the diameter of a shaft.
 
 use nalgebra::Point3;
 

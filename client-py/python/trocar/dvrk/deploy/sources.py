@@ -141,7 +141,7 @@ class Pictures:
         self._cameras: deque[tuple[float, Pose]] = deque(maxlen=HISTORY)
 
     def read(self, reading: Reading) -> None:
-        """Takes pictures and looks at them."""
+        """Takes pictures and detects the objects in them."""
         left, right, stamp, camera = self._call()
         if self._layout.needs_image:
             seen = [
@@ -207,7 +207,7 @@ def read(topic: str, get: Callable[[], Any]) -> Any:
     """What a topic says.
 
     Raises:
-        Stopped: It says nothing.
+        Stopped: No message arrived.
     """
     try:
         return get()
