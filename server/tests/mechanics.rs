@@ -297,6 +297,51 @@ fn fingers_that_meet_a_post_sideways_do_not_turn_about_their_hinge() {
 }
 
 #[test]
+fn fingers_that_a_wrist_drives_askew_into_a_post_are_not_jammed_by_friction() {
+    let mut strongest: f64 = 0.0;
+    for way in 0..60 {
+        let mut world = World::new(Solver::LIGHT);
+        let (a, b) = (Point3::new(0.0, 0.0, 0.0), Point3::new(0.0, 0.0, 0.03));
+        let post =
+            Part { body_from_part: Pose::identity(), shape: Shape::Capsule { a, b, radius: 2e-3 } };
+        world.insert(Motion::Fixed, &Pose::identity(), 1.0, &[post]);
+        // The fingers meet the post at several depths, and at angles between the axis of their hinges and a right angle.
+        let (depth, angle) =
+            (4e-3 + 2e-3 * f64::from(way % 5), FRAC_PI_2 * f64::from(way / 5) / 11.0);
+        let at = |distance: f64| {
+            let place = [distance * angle.cos(), distance * angle.sin(), 0.03 + depth];
+            Posture { world_from_wrist: frames::pose(place, [PI, 0.0, 0.0]), jaw: JAW_OPEN }
+        };
+        let mut arm = Instrument::insert(&mut world, at(-12e-3), 1.0);
+        strongest = strongest.max(effort(&mut world, &mut arm, at(12e-3)).peak_force);
+    }
+    eprintln!("{strongest:.2} N");
+    // Jammed fingers bear 7.7 N here.
+    assert!(strongest > 0.1 && strongest < 4.0, "{strongest} N");
+}
+
+#[test]
+fn an_instrument_stops_at_another_one() {
+    // The tips of the second instrument, which lies, go through the place of the first one's fingers and wrist.
+    for height in [-0.6 * TIP_OFFSET, 0.0, 3e-3] {
+        let mut world = World::new(Solver::LIGHT);
+        let first =
+            Posture { world_from_wrist: frames::pose([0.0; 3], [PI, 0.0, 0.0]), jaw: JAW_CLOSED };
+        let lying = |x: f64| Posture {
+            world_from_wrist: frames::pose([x, 0.0, height], [0.0, FRAC_PI_2, 0.0]),
+            jaw: JAW_CLOSED,
+        };
+        let mut arms = [first, lying(-0.03)].map(|at| Instrument::insert(&mut world, at, 1.0));
+        let [one, other] = &mut arms;
+        let [_, covered] = carry_out([one, other], &mut world, [first, lying(0.0)], 96);
+        // Without the first instrument, the second would come through to the other side.
+        let tip = other.posture().world_from_wrist.translation.x + TIP_OFFSET;
+        eprintln!("at {height}: {covered:.2} covered, tip at {:.2} mm", 1e3 * tip);
+        assert!(covered < 1.0 && tip < 0.0, "{height}: {covered}, {tip}");
+    }
+}
+
+#[test]
 fn a_gripped_wire_rolls_where_friction_at_both_sides_cannot_stop_it() {
     const FRICTION: f64 = 0.5;
     let turned_by = |share: f64| {

@@ -302,16 +302,19 @@ impl Instrument {
             && !world.static_in(swept)
     }
 
-    /// Deepest overlap with static bodies at `next`, if the overlap is larger than now: static bodies stop wrist and
-    /// fingers there, also if the fingers are locked. Bodies that were carried without substeps are placed first.
+    /// Deepest overlap with static bodies and other instruments at `next`, if the overlap is larger than now: these stop
+    /// wrist and fingers there, also if the fingers are locked. Bodies that were carried without substeps are placed first.
     pub(super) fn stopped_by(&mut self, world: &mut World, next: &Posture) -> Option<Overlap> {
         if self.stale {
             self.put_bodies(world);
         }
         let motion = next.world_from_wrist * self.posture.world_from_wrist.inverse();
         let deepest = |motion: &Pose| {
-            let bodies = self.bodies().map(|body| world.meets_static(body, motion));
-            bodies.into_iter().reduce(Overlap::or).expect("it has bodies")
+            let own = self.bodies();
+            let meets = |body| {
+                world.meets_static(body, motion).or(world.meets_instruments(body, motion, &own))
+            };
+            own.map(meets).into_iter().reduce(Overlap::or).expect("it has bodies")
         };
         let then = deepest(&motion);
         let deeper = || then.depth > deepest(&Pose::identity()).depth + LEAST_DEPTH;

@@ -1,6 +1,6 @@
 //! What the world does to a motion: instruments move, but not at any price.
 //!
-//! Four rules belong to the model's definition:
+//! Five rules belong to the model's definition:
 //!
 //! - **Yield**: where an object that is in the way pushes back too hard or is pressed into what is
 //!   behind it, an instrument goes back along its path instead of forward; just before, it waits.
@@ -11,6 +11,7 @@
 //!   they would squeeze with many times their force at the tip, and keep.
 //! - **Static bodies** stop every instrument before wrist or fingers enter them, also if the fingers are locked.
 //!   Fingers yield to the body on which they close, not to a body into which the wrist pushes them.
+//! - **Instruments** stop each other in the same way.
 //! - **Distance**: the shafts of two instruments stop before the distance of their axes falls below
 //!   the diameter of a shaft.
 

@@ -69,6 +69,20 @@ impl Constraints {
         self.contact_row(sides, point, normal, 0.0).mobility
     }
 
+    /// Whether friction at `point` could hold bodies on hinges against any normal force: the friction cone has a direction
+    /// along which no impulse turns the hinge.
+    pub(super) fn locks(
+        &self,
+        sides: &[ContactSide; 2],
+        point: Vector,
+        normal: Vector,
+        coefficient: f32,
+    ) -> bool {
+        let along = tangents(normal).map(|tangent| self.mobility(sides, point, tangent));
+        let tangential: f32 = along.iter().sum();
+        coefficient * coefficient * tangential >= self.mobility(sides, point, normal)
+    }
+
     /// Adds the rows of two parts that touch at `points`; `normal` points from the first to the second. An impulse must
     /// be able to move them, at each of the points.
     pub(super) fn add_manifold(

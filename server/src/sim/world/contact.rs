@@ -217,23 +217,38 @@ impl World {
         push
     }
 
-    /// Where a body that `motion` would take from where it is would be nearest to static bodies, or overlap
-    /// with it most. The depth is below 0 where they are apart. It is −∞ where they are further apart
-    /// than contacts are looked at.
+    /// Deepest overlap of a body with static bodies after `motion`. The depth is below 0 where the shapes are apart, and −∞
+    /// beyond the distance from which on contacts count.
     pub(crate) fn meets_static(&self, body: BodyId, motion: &Pose) -> Overlap {
+        self.meets(body, motion, self.fixed.iter().copied())
+    }
+
+    /// The same with driven bodies and bodies on hinges, except `own`: wrists and fingers of other instruments.
+    pub(crate) fn meets_instruments(&self, body: BodyId, motion: &Pose, own: &[BodyId]) -> Overlap {
+        let driven = self.driven.iter().map(|(driven, _)| *driven);
+        let moving = driven.chain(self.hinges.iter().map(|hinge| hinge.body));
+        let others = moving.filter(|other| own.iter().all(|each| each.0 != *other));
+        self.meets(body, motion, others)
+    }
+
+    fn meets(
+        &self,
+        body: BodyId,
+        motion: &Pose,
+        others: impl Iterator<Item = RigidBodyHandle>,
+    ) -> Overlap {
         let motion = frames::to_engine(motion);
         let margin = (PREDICTION * SCALE) as f32;
         let mut deepest = Overlap { depth: f64::NEG_INFINITY, ..Overlap::NONE };
         let body = &self.bodies[body.0];
-        for part in body.colliders() {
-            let part = &self.colliders[*part];
-            let body_from_part =
-                part.position_wrt_parent().expect("every collider belongs to a body");
-            // Colliders of a body that was just placed follow at the next substep.
-            let moved = motion * (*body.position() * *body_from_part);
-            let region = part.shape().compute_aabb(&moved).loosened(margin);
-            let static_parts = self.fixed.iter().flat_map(|fixed| self.bodies[*fixed].colliders());
-            for other in static_parts.map(|handle| &self.colliders[*handle]) {
+        let obstacles = others.flat_map(|other| self.bodies[other].colliders());
+        for other in obstacles.map(|handle| &self.colliders[*handle]) {
+            for part in body.colliders().iter().map(|handle| &self.colliders[*handle]) {
+                let body_from_part =
+                    part.position_wrt_parent().expect("every collider belongs to a body");
+                // Colliders of a body that was just placed follow at the next substep.
+                let moved = motion * (*body.position() * *body_from_part);
+                let region = part.shape().compute_aabb(&moved).loosened(margin);
                 if !region.intersects(&other.compute_aabb()) {
                     continue;
                 }

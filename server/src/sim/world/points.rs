@@ -5,7 +5,7 @@
 //!
 //! A finger turns about its hinge only. Where static bodies are in its way otherwise, no contact could help, and the
 //! impulses of one that tried would be enormous. Such points are left out: that instruments stop at static bodies is
-//! the business of [`motion`](crate::sim::motion).
+//! the business of [`motion`](crate::sim::motion). For the same reason, the substep leaves out friction that would jam a finger.
 
 use arrayvec::ArrayVec;
 use rapier3d::geometry::ContactManifold;

@@ -299,14 +299,21 @@ impl World {
             let approach = (one - other).dot(normal).max(0.0);
             point.distance <= (points::NEAR * SCALE) as f32 + approach * DT
         });
+        let mut coefficient = manifold.data.friction;
         if !bodies.iter().any(|body| self.free.contains(body)) {
             let least = (points::MOVABLE / (SCALE * SCALE * SCALE)) as f32;
             found.retain(|point| constraints.mobility(&sides, point.middle, normal) >= least);
+            // Otherwise friction would jam the finger, and the impulses would have no limit.
+            if found
+                .iter()
+                .any(|point| constraints.locks(&sides, point.middle, normal, coefficient))
+            {
+                coefficient = 0.0;
+            }
         }
         if found.is_empty() {
             return;
         }
-        let coefficient = manifold.data.friction;
         let mut friction = Friction::default();
         let mut rows: ArrayVec<ContactPoint, 4> = ArrayVec::new();
         for point in &found {
