@@ -2,7 +2,7 @@
 //!
 //! Each episode mixes the expert, which brings the jaws to where contact is, with full movements that
 //! last for several steps, into tray, pegs and walls, and with random ones. `TROCAR_SOAK=1` runs
-//! 1,000,000 environment steps over all tasks instead of 20,000; `TROCAR_TASK=NeedlePick-v0` only what
+//! 1,000,000 environment steps over all tasks instead of 10,000; `TROCAR_TASK=NeedlePick-v0` only what
 //! of these is for that task.
 
 use std::collections::BTreeMap;
@@ -133,7 +133,7 @@ fn attack(id: &str, options: &Options, steps: u64) -> Record {
 
 #[test]
 fn nothing_explodes_under_adversarial_actions() {
-    let total: u64 = if std::env::var_os("TROCAR_SOAK").is_some() { 1_000_000 } else { 20_000 };
+    let total: u64 = if std::env::var_os("TROCAR_SOAK").is_some() { 1_000_000 } else { 10_000 };
     let registry = Registry::builtin();
     let runs: Vec<_> = registry
         .ids()

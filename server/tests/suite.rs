@@ -192,7 +192,7 @@ fn what_is_seen_is_within_its_bounds_and_not_constant() {
         let mut actions = Actions::new(1);
         let mut ranges = vec![(f32::INFINITY, f32::NEG_INFINITY); spec.observation_dim()];
         // Two of the expert's at least: smooth jaws lose fat in one episode of seven.
-        for episode in 0..if is_slow(&variant.0) { 4 } else { 6 } {
+        for episode in 0..4 {
             env.reset((episode == 0).then_some(3));
             loop {
                 let seen = Seen::of(&env);
@@ -272,7 +272,7 @@ fn rewards_and_success_are_those_of_the_goals_bit_by_bit() {
         let spec = env.spec().clone();
         let Some(goal) = &spec.goal else { continue };
         let mut actions = Actions::new(2);
-        for episode in 0..if is_slow(&variant.0) { 2 } else { 4 } {
+        for episode in 0..if soak() { 4 } else { 2 } {
             env.reset(None);
             while !env.needs_reset() {
                 let expert = Seen::of(&env).expert;
@@ -393,7 +393,7 @@ fn numbers_outside_the_range_act_as_the_nearest_inside() {
 fn environments_side_by_side_are_as_if_each_were_alone() {
     for id in tasks() {
         let first = Registry::builtin().make(id, &Options::new()).unwrap();
-        let count = if is_slow(id) { 3 } else { 64 };
+        let count = if is_slow(id) { 3 } else { 16 };
         let mut envs = vec![first; count as usize];
         let mut streams: Vec<_> = (0..count).map(Actions::new).collect();
         let mut together = vec![vec![]; count as usize];
@@ -434,7 +434,12 @@ fn nothing_explodes_under_adversarial_actions() {
         let mut env = make(&variant);
         let mut actions = Actions::new(9);
         let metres = if variant.1.text("preset") == Some("surrol") { 5.0 } else { 1.0 };
-        for _ in 0..if is_slow(&variant.0) { 2 } else { 40 } {
+        let episodes = match (is_slow(&variant.0), soak()) {
+            (true, _) => 2,
+            (false, true) => 40,
+            (false, false) => 8,
+        };
+        for _ in 0..episodes {
             env.reset(None);
             let mut before = Seen::of(&env);
             while !env.needs_reset() {

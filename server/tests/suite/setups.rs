@@ -3,7 +3,7 @@
 use trocar_proto::Options;
 use trocar_server::Registry;
 
-use super::{Row, Seen, make, table};
+use super::{Row, Seen, make, soak, table};
 
 #[test]
 fn a_moved_arm_shows_and_does_the_same() {
@@ -30,7 +30,7 @@ fn a_moved_arm_shows_and_does_the_same() {
             "NeedleRegrasp-v0" => 3e-3,
             _ => 1e-5,
         };
-        for seed in 0..20 {
+        for seed in 0..if soak() { 20 } else { 5 } {
             moved.reset(Some(seed));
             nominal.reset(Some(seed));
             for _ in 0..50 {

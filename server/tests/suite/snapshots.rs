@@ -23,7 +23,7 @@ fn a_snapshot_goes_on_bit_by_bit_like_the_original_as_clone_and_as_bytes() {
     }));
     for variant in variants {
         let fresh = make(&variant);
-        let seeds = if is_slow(&variant.0) { 1..2 } else { 0..3 };
+        let seeds = if is_slow(&variant.0) { 1..2 } else { 0..2 };
         for seed in if soak() { 0..40 } else { seeds } {
             let mut env = fresh.clone();
             env.reset(Some(seed));
