@@ -6,11 +6,13 @@ import os
 import re
 import subprocess
 import sys
+from importlib import metadata
 from pathlib import Path
 
 import pytest
 
 import trocar
+from trocar._extras import install_command
 
 EXAMPLES = Path(__file__).parent.parent / "examples"
 
@@ -72,22 +74,22 @@ def test_the_random_policy_example_runs(server: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("command", "package", "remedy"),
+    ("command", "package", "extra"),
     [
-        (["-m", "trocar.rl", "configs"], "matplotlib", "pip install trocar[rl]"),
-        (["-m", "trocar.rl", "configs"], "onnx", "pip install trocar[rl]"),
-        (["-m", "trocar.demos", "--task", "NeedleReach-v0"], "minari", "pip install trocar[demos]"),
+        (["-m", "trocar.rl", "configs"], "matplotlib", "rl"),
+        (["-m", "trocar.rl", "configs"], "onnx", "rl"),
+        (["-m", "trocar.demos", "--task", "NeedleReach-v0"], "minari", "demos"),
         (
             ["-m", "trocar.dvrk.deploy", "NeedleReach", "--log", "logs", "--plot"],
             "matplotlib",
-            "pip install trocar[deploy]",
+            "deploy",
         ),
     ],
 )
 def test_a_missing_extra_is_one_line_with_the_remedy(
     command: list[str],
     package: str,
-    remedy: str,
+    extra: str,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -95,9 +97,25 @@ def test_a_missing_extra_is_one_line_with_the_remedy(
     monkeypatch.chdir(tmp_path)
     said = run(*command, PYTHONPATH=f"{tmp_path}:{Path(trocar.__file__).parents[1]}")
     assert said.returncode != 0
-    assert remedy in said.stderr
+    assert install_command(extra) in said.stderr
     assert len(said.stderr.splitlines()) == 1, said.stderr
     assert not (tmp_path / "logs").exists()
+
+
+def test_the_command_for_an_extra_names_the_installed_version(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(metadata, "version", lambda _: "1.2.3")
+    assert install_command("rl") == "pip install 'trocar[rl]==1.2.3'"
+
+
+def test_a_source_tree_names_no_package_of_the_index(monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(_: str) -> str:
+        raise metadata.PackageNotFoundError
+
+    monkeypatch.setattr(metadata, "version", fail)
+    assert "pip install" not in install_command("rl")
+    assert "[rl]" in install_command("rl")
 
 
 def test_imports_without_an_extra_raise_an_import_error_with_the_remedy(tmp_path: Path) -> None:
@@ -106,7 +124,7 @@ def test_imports_without_an_extra_raise_an_import_error_with_the_remedy(tmp_path
     for module, extra in (("trocar.sb3", "sb3"), ("trocar.rl", "rl")):
         code = f"try: import {module}\nexcept ImportError as error: print(error)"
         said = run("-c", code, PYTHONPATH=f"{tmp_path}:{Path(trocar.__file__).parents[1]}")
-        assert said.stdout.strip().endswith(f"pip install trocar[{extra}]"), said.stderr
+        assert said.stdout.strip().endswith(install_command(extra)), said.stderr
 
 
 def hide(package: str, folder: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from importlib import metadata
 
 
 def missing_extra(error: ImportError, extra: str, purpose: str, command: str = "") -> ImportError:
@@ -15,10 +16,23 @@ def missing_extra(error: ImportError, extra: str, purpose: str, command: str = "
         command: Name of the module; ``python -m`` with that name ends with the line, without a
             traceback.
     """
-    text = f"{error}; {purpose} needs the extra: pip install trocar[{extra}]"
+    text = f"{error}; {purpose} needs the extra: {install_command(extra)}"
     if command and _runs_module(command):
         sys.exit(f"error: {text}")
     return ModuleNotFoundError(text, name=error.name)
+
+
+def install_command(extra: str) -> str:
+    """The command that installs an extra, without a search for the package itself.
+
+    The name ``trocar`` is not reserved in the public package index. So the command names the
+    installed version, which pip keeps. A source tree has no installed version.
+    """
+    try:
+        version = metadata.version("trocar")
+    except metadata.PackageNotFoundError:
+        return f"the wheel with [{extra}], see Installation in docs/python.md"
+    return f"pip install 'trocar[{extra}]=={version}'"
 
 
 def _runs_module(name: str) -> bool:

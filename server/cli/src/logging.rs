@@ -1,4 +1,6 @@
-//! What is logged, and how: to stderr, as text or JSON.
+//! Logs of the server: to stderr, as text or JSON.
+
+use std::io::IsTerminal;
 
 use clap::{Args, ValueEnum};
 use tracing_subscriber::EnvFilter;
@@ -43,7 +45,12 @@ impl Logging {
             (None, None) => usual.into(),
         };
         let filter = EnvFilter::try_new(levels)?;
-        let lines = tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr);
+        // Colours are for terminals only: files and pipes would show their control codes. The library obeys `NO_COLOR`.
+        let mut lines =
+            tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr);
+        if !std::io::stderr().is_terminal() {
+            lines = lines.with_ansi(false);
+        }
         match self.log_format {
             Format::Text => lines.init(),
             Format::Json => lines.json().flatten_event(true).init(),

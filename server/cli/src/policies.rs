@@ -150,7 +150,7 @@ const HEADER: [&str; 8] = [
     "algorithm",
     "trained in",
     "success",
-    "95 %",
+    "95 % interval, %",
     "twice the rate",
     "60 ms late",
     "noise 0.5 mm",
@@ -159,7 +159,7 @@ const HEADER: [&str; 8] = [
 /// A line of the table.
 fn row(card: &Card, task: &str) -> Vec<String> {
     let seconds = card.trainer_cpu_s + card.server_cpu_s;
-    let within = |[low, high]: [f64; 2]| format!("{:.1} to {:.1} %", 100.0 * low, 100.0 * high);
+    let within = |[low, high]: [f64; 2]| format!("{:.1} to {:.1}", 100.0 * low, 100.0 * high);
     let mut row = vec![
         task.trim_end_matches("-v0").to_string(),
         card.algorithm.clone(),

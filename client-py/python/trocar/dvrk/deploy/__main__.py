@@ -298,12 +298,13 @@ def made(given: argparse.Namespace, told: Any) -> Runner:
 
 def table(episodes: Sequence[Episode]) -> str:
     """The results, for people."""
-    lines = [f"{'seed':>6}  {'outcome':8}  {'steps':>5}  {'goal away':>9}  why"]
+    lines = [f"{'seed':>6}  {'outcome':8}  {'steps':>5}  {'distance':>9}  why"]
     for episode in episodes:
         away = "-" if episode.distance != episode.distance else f"{episode.distance:.4f}"
         lines.append(
             f"{episode.seed:>6}  {episode.outcome:8}  {episode.steps:>5}  {away:>9}  {episode.why}"
         )
+    lines.append("distance: from the goal at the end, in the unit of the task's goal (m with PSMs)")
     count = len(episodes)
     good = sum(episode.outcome == "success" for episode in episodes)
     if any(episode.outcome in ("success", "failure") for episode in episodes):

@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 
+from trocar._extras import install_command
 from trocar.dvrk.deploy.geometry import Numbers, Pose, between, numbers
 from trocar.dvrk.deploy.pictures import Lens, Picture
 from trocar.errors import InvalidOption, LaunchError, TrocarError, Unsupported, refuse
@@ -209,7 +210,7 @@ def _opencv() -> Any:
     try:
         import cv2
     except ImportError as error:
-        raise Unsupported("a board of tags needs OpenCV: pip install trocar[deploy]") from error
+        raise Unsupported(f"a board of tags needs OpenCV: {install_command('deploy')}") from error
     return cv2
 
 

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from trocar._extras import install_command
 from trocar.errors import Unsupported
 
 
@@ -20,7 +21,7 @@ def check_matplotlib() -> None:
     try:
         import matplotlib  # noqa: F401
     except ImportError as error:
-        raise Unsupported("--plot needs matplotlib: pip install trocar[deploy]") from error
+        raise Unsupported(f"--plot needs matplotlib: {install_command('deploy')}") from error
 
 
 def plot(path: Path) -> Path:
