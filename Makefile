@@ -7,10 +7,9 @@ SHELL := bash
 .DELETE_ON_ERROR:
 MAKEFLAGS += --no-builtin-rules
 
-# What is built together, so that shared crates are built once: which features they get depends on who is. The bindings
-# are built by maturin only: the features they ask of shared crates would make cargo build the physics twice, once with and
-# once without them. The trainer in Rust brings a hundred crates that nothing else needs; `test-rl` runs it.
-RUST := --workspace --exclude trocar-py --exclude train-reach --locked
+# Packages that are built together. The bindings are built by maturin only, since they must not link Python. The package
+# `workspace-hack` gives crates that both share one set of features, so that cargo builds them once.
+RUST := --workspace --exclude trocar-py --locked
 
 PYTHON ?= python3
 CARGO ?= cargo
@@ -242,7 +241,6 @@ test-rl: develop .venv-rl/ready .venv-rllib/ready ## * SB3, TorchRL, CleanRL, RL
 	cd client-py && $(RL_TEST) $(RL_BIN)/python examples/worker_processes.py --steps 2048
 	cd client-py && $(RL_TEST) $(RL_BIN)/python examples/torchrl_ppo.py --steps 4000
 	cd client-py && $(RL_TEST) $(RL_BIN)/python examples/cleanrl_ppo.py --steps 4000
-	$(RL_TEST) $(CARGO) run --locked -p train-reach
 	cd client-py && $(RL_TEST) $(RLLIB_BIN)/python -m pytest tests/rllib
 	cd client-py && $(RL_TEST) $(RLLIB_BIN)/python examples/rllib_ppo.py --iterations 2
 

@@ -1,0 +1,3 @@
+//! Nothing: cargo looks at build dependencies only beside a build script.
+
+fn main() {}
