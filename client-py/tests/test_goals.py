@@ -107,3 +107,14 @@ def test_wrong_shapes_are_refused(env: trocar.TrocarEnv) -> None:
         with pytest.raises(ValueError, match=field):
             env.compute_reward(achieved, desired, {})
     env.close()
+
+
+def test_rewards_of_replaced_goals_are_refused_beside_relative_features(server: str) -> None:
+    env = make("NeedleReach-v0", server, observation=("relative",))
+    observation, _ = env.reset(seed=0)
+    goals = observation["achieved_goal"], observation["desired_goal"]
+    assert env.compute_reward(*goals, {}) == -1.0
+    # As hindsight replay of Stable-Baselines3 asks, also for one transition.
+    with pytest.raises(ValueError, match=r"options\.observation.*trocar\.features"):
+        env.compute_reward(goals[0][None], goals[0][None], [{}])
+    env.close()

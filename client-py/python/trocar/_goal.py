@@ -24,8 +24,20 @@ pictures where they are asked for."""
 Observation = Any
 """What environments return: :data:`Arrays`, or the one array of a task without goals."""
 
+REPLACED_GOALS = (
+    "relative features contain the goal, which hindsight replay does not replace in observations; "
+    "observe the state, and compute trocar.features in the policy, or train by trocar.rl with "
+    "inputs=relative"
+)
+"""The remedy if goals of stored observations with relative features are replaced."""
+
 _P = ParamSpec("_P")
 _R = TypeVar("_R")
+
+
+def words(option: Any) -> Sequence[str]:
+    """The words of an option such as ``observation``: one word, several, or none."""
+    return [option] if isinstance(option, str) else list(option or ())
 
 
 class Described:
@@ -97,6 +109,9 @@ class GoalFunctions:
 
     task_spec: _trocar.TaskSpec
     _ends_on_success: bool = False
+    _has_relative_features: bool = False
+    """True for a single environment whose observations contain the goal. There, only hindsight
+    replay asks for the rewards of batches."""
 
     @_OfGoals
     def compute_reward(
@@ -108,8 +123,13 @@ class GoalFunctions:
             achieved_goal: Goals that were achieved.
             desired_goal: Goals that were desired, of the same shape.
             info: Not used; there for the interface that hindsight replay expects.
+
+        Raises:
+            ValueError: A batch, of a single environment with ``observation=("relative",)``.
         """
         del info
+        if self._has_relative_features and np.ndim(achieved_goal) > 1:
+            raise refuse(InvalidOption, "options.observation", "relative", REPLACED_GOALS)
         return self.task_spec.compute_reward(achieved_goal, desired_goal)[()]
 
     @_OfGoals

@@ -26,6 +26,7 @@ from trocar._goal import (
     render_fps,
     shown,
     view,
+    words,
 )
 from trocar._reset import ResetOptions
 from trocar._window import Window
@@ -120,6 +121,7 @@ class TrocarEnv(Described, GoalFunctions, gym.Env[Observation, NDArray[np.float3
         self._window: Window | None = None
         self._expert_action: NDArray[np.float32] | None = None
         self._ends_on_success = options.get("terminate") == "success"
+        self._has_relative_features = "relative" in words(options.get("observation"))
         self._connection = Connection(
             task,
             server=server,

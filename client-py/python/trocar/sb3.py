@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from trocar._arrays import selected
 from trocar._extras import missing_extra
-from trocar._goal import GoalFunctions
+from trocar._goal import REPLACED_GOALS, GoalFunctions, words
 from trocar.errors import InvalidEnvIds, InvalidOption, InvalidRequest, refuse
 from trocar.registration import NAMESPACE
 from trocar.vector import EPISODE, EXPERT, TrocarVectorEnv, nothing
@@ -145,12 +145,7 @@ class TrocarVecEnv(VecEnv):
             images = self.get_images()
             return [images[row] for row in rows]
         if method_name == "compute_reward" and "relative" in self._observed():
-            allowed = (
-                "relative features contain the goal, which hindsight replay does not replace in "
-                "observations; observe the state, and compute trocar.features in the policy, or "
-                "train by trocar.rl with inputs=relative"
-            )
-            raise refuse(InvalidOption, "options.observation", self._observed(), allowed)
+            raise refuse(InvalidOption, "options.observation", self._observed(), REPLACED_GOALS)
         if method_name not in METHODS:
             allowed = f"allowed are {[*METHODS, 'render']}; the session as a whole is `envs`"
             raise refuse(InvalidRequest, "method_name", method_name, allowed)
@@ -203,8 +198,7 @@ class TrocarVecEnv(VecEnv):
 
     def _observed(self) -> Sequence[str]:
         """Words of the task's option ``observation``."""
-        given = self.envs._connection._request["options"].get("observation") or ()
-        return [given] if isinstance(given, str) else list(given)
+        return words(self.envs._connection._request["options"].get("observation"))
 
     def _rows(self, indices: int | Iterable[int] | None) -> list[int]:
         """The environments that ``indices`` mean."""
