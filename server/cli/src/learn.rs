@@ -18,8 +18,9 @@ Examples:
   trocar learn NeedlePick --algo bc --seed 1     any argument of `python -m trocar.rl train`
   python -m trocar learn NeedlePick              in this Python
 
-Needs the extra: pip install 'trocar[rl]'. A run writes its curve and its policies into a folder
-of `runs`, and says how long it will take. Ctrl-C interrupts it, --resume goes on.")]
+Needs the extra `rl` of the Python package (docs/python.md). A run writes its curve and its policies
+into a folder of `runs`, and says how long it will take. Ctrl-C interrupts it, --resume goes on; for
+algorithms of Stable-Baselines3 with --trust, since their files can run code.")]
 pub(crate) struct Learn {
     /// A task of `trocar tasks`
     task: String,
