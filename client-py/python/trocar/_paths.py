@@ -1,10 +1,19 @@
-"""Paths of output, checked before work begins: types of arguments for ``argparse``."""
+"""Command lines: errors of one line, and paths of output that are checked before work begins."""
 
 from __future__ import annotations
 
 import argparse
 import tempfile
 from pathlib import Path
+from typing import NoReturn
+
+
+class Parser(argparse.ArgumentParser):
+    """A parser that prints an error as one line, without the usage of all arguments."""
+
+    def error(self, message: str) -> NoReturn:
+        """Prints the error and exits with status 2."""
+        self.exit(2, f"error: {message}; {self.prog} --help lists the arguments\n")
 
 
 def output_file(text: str) -> Path:

@@ -10,6 +10,7 @@ use serde::Deserialize;
 use serde_json::{Map, Value, json};
 use trocar_network::Network;
 
+use crate::exit::Exit;
 use crate::output;
 
 macro_rules! files {
@@ -120,7 +121,8 @@ impl Policies {
 }
 
 fn save(folder: &Path) -> anyhow::Result<()> {
-    std::fs::create_dir_all(folder).with_context(|| format!("creating {}", folder.display()))?;
+    let fail = |error| Exit::Usage(format!("--save {}: {error}", folder.display()));
+    std::fs::create_dir_all(folder).map_err(fail)?;
     for (task, bytes) in FILES {
         let path = folder.join(format!("{task}.onnx"));
         std::fs::write(&path, bytes).with_context(|| format!("writing {}", path.display()))?;

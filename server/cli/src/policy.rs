@@ -6,7 +6,7 @@ use anyhow::Context;
 use clap::ValueEnum;
 use serde::Serialize;
 use trocar_network::{Network, Seen};
-use trocar_proto::TaskSpec;
+use trocar_proto::{TaskSpec, similar};
 use trocar_server::sim::random::Rng;
 use trocar_server::{Env, Step, StepError};
 
@@ -86,7 +86,8 @@ impl Chooser {
         let tasks = policies::names().collect::<Vec<_>>().join(", ");
         let allowed =
             "allowed are oracle, random, the name of a file that ends in .onnx, or a task";
-        Err(Exit::Usage(format!("--policy {text}: {allowed}: {tasks}")).into())
+        let hint = similar::hint(text, policies::names());
+        Err(Exit::Usage(format!("--policy {text}: {allowed}: {tasks}{hint}")).into())
     }
 
     /// Options of a task: those with which a policy was trained, then `given`, which win.

@@ -14,6 +14,7 @@ use trocar_server::service::StopSignal;
 use trocar_server::view::View;
 use trocar_server::view::replay_source::ReplaySource;
 
+use crate::exit::Exit;
 use crate::output;
 use crate::render::image::Image;
 use crate::render::look::{Format, GAP, Look};
@@ -81,7 +82,8 @@ impl Replay {
         let mut watched = vec![];
         for file in &self.files {
             let name = file.display().to_string();
-            let bytes = std::fs::read(file).with_context(|| format!("reading {name}"))?;
+            let bytes =
+                std::fs::read(file).map_err(|error| Exit::Usage(format!("{name}: {error}")))?;
             let (courses, lost) = recording::read_whole(&bytes).with_context(|| name.clone())?;
             let last = courses.len() - 1;
             let chosen = courses.into_iter().enumerate();

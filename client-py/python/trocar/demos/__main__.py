@@ -8,6 +8,7 @@ import sys
 from dataclasses import asdict
 from typing import Any
 
+from trocar._paths import Parser, output_folder
 from trocar.demos import FORMATS, Recording, record
 from trocar.errors import InvalidRequest, NoServer, TrocarError
 from trocar.registration import register_all
@@ -40,10 +41,10 @@ def main(arguments: list[str] | None = None) -> int:
 
 def parser() -> argparse.ArgumentParser:
     """The flags, as those of ``trocar demos``."""
-    parser = argparse.ArgumentParser(prog="python -m trocar.demos", description=__doc__)
+    parser = Parser(prog="python -m trocar.demos", description=__doc__)
     parser.add_argument("--task", required=True)
     parser.add_argument("--episodes", type=int, default=100)
-    parser.add_argument("--out", default="demos")
+    parser.add_argument("--out", type=output_folder, default="demos")
     parser.add_argument("--name", default=None)
     parser.add_argument("--format", choices=FORMATS, default="minari")
     parser.add_argument("--seed", type=int, default=0)

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from trocar._assignments import SYNTAX, assignments
-from trocar._paths import output_file, output_folder
+from trocar._paths import Parser, output_file, output_folder
 from trocar.errors import NoServer, TrocarError
 from trocar.registration import TASKS, register_all
 from trocar.rl.config import ALGORITHMS, load
@@ -41,7 +41,7 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog="python -m trocar.rl", epilog=EPILOG)
+    parser = Parser(prog="python -m trocar.rl", epilog=EPILOG)
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
 
     train = commands.add_parser("train", help="train a policy")

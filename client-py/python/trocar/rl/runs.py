@@ -99,7 +99,9 @@ class Run:
         if not (self.path / "config.json").exists():
             return
         if not resume:
-            allowed = "a run is there already; resume it, or choose another folder"
+            allowed = (
+                "a run is there already: resume it (--resume), or choose another folder (--out)"
+            )
             raise refuse(InvalidRequest, "out", str(self.path), allowed)
         if self.has_checkpoint:
             self._check_trust(self._checkpoint, config.algo)

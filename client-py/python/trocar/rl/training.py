@@ -134,7 +134,7 @@ def _epochs(run: Run, learner: Learner, evaluation: TrocarVecEnv, clock: _Clock,
         live.clear()
         say(
             f"{live.where}  success {row['success']:6.1%}  return {row['mean_return']:8.2f}  "
-            f"{clock.wall():6.0f} s, {live.left(1.0):6.0f} s left"
+            f"{clock.wall():6.0f} s{live.left(1.0)}"
         )
     writer.close()
 
@@ -181,14 +181,16 @@ class _Live:
 
     def __call__(self, done: float) -> None:
         if self._seen:
-            told = f"\r{self.where}  {done:4.0%}  {self._clock.wall():6.0f} s, "
-            print(f"{told}{self.left(done):6.0f} s left", end="", file=sys.stderr, flush=True)
+            told = f"\r{self.where}  {done:4.0%}  {self._clock.wall():6.0f} s"
+            print(f"{told}{self.left(done)}", end="", file=sys.stderr, flush=True)
 
-    def left(self, done: float) -> float:
-        """Seconds until the run ends if later epochs take as long as this one; at first unknown."""
+    def left(self, done: float) -> str:
+        """Time until the end if later epochs take as long as this one; empty during epoch 0."""
         later = self._epochs - self._epoch
         took = self._clock.wall() - self._begun
-        return took * (1 - done + later) / done if done and self._epoch else 0.0
+        if not done or not self._epoch:
+            return ""
+        return f", {took * (1 - done + later) / done:6.0f} s left"
 
     def clear(self) -> None:
         """Removes it."""
