@@ -107,7 +107,7 @@ fn what_cannot_be_recorded_or_played_is_said() {
     said(&["record", "--out", file.path()], 2, "--task");
     said(&["record", "--task", "Needle", "--out", file.path()], 2, "NeedlePick-v0");
     said(&["record", "--session", "1", "--name", "nobody-here", "--out", file.path()], 3, "nobody");
-    said(&["replay", file.path()], 1, "bad.trocar");
+    said(&["replay", file.path()], 2, "bad.trocar");
     assert!(run(&["record", "--task", "EcmReach-v0", "--out", file.path()]).status.success());
     said(&["replay", "--episode", "7", file.path()], 1, "no such episode");
     let mut bytes = std::fs::read(&file.0).unwrap();
