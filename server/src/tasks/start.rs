@@ -107,18 +107,19 @@ pub struct Extent {
 
 /// Successive attempts: the number of the prepared state, counted from the drawn one, and the extent. Poses close to
 /// the prepared one need less room.
-const VARIATIONS: [(usize, Extent); 6] = [
+const VARIATIONS: [(usize, Extent); 4] = [
     (0, Extent { share: 1.0, contacts: true }),
     (0, Extent { share: 0.5, contacts: true }),
     (0, Extent { share: 0.1, contacts: true }),
     (1, Extent { share: 1.0, contacts: true }),
-    (1, Extent { share: 0.5, contacts: false }),
-    (2, Extent { share: 0.5, contacts: false }),
 ];
 
 /// Attempts with other draws of all rows, if no attempt of [`VARIATIONS`] is valid: some errors of arms leave no room
 /// between jaws and object.
 const REDRAWS: usize = 16;
+
+/// Last attempts, with mass, size and friction of the prepared states.
+const SAME_CONTACTS: usize = 2;
 
 /// Interval in which the contacts of a varied state come to rest, s; repeated while an object is fast.
 const SETTLING: f64 = 0.05;
@@ -216,9 +217,9 @@ impl Starts {
             }
         }
         let mut redrawn = variation.clone();
-        for further in 0..REDRAWS {
+        for further in 0..REDRAWS + SAME_CONTACTS {
             let state = self.restore((drawn + further) % COUNT, task, world);
-            let extent = Extent { share: 0.5, contacts: true };
+            let extent = Extent { share: 0.5, contacts: further < REDRAWS };
             if self.vary(state, task.as_mut(), world, &mut redrawn, extent) {
                 return;
             }
