@@ -33,6 +33,19 @@ def output_file(text: str) -> Path:
     return path
 
 
+def output_file_in_folder(text: str) -> Path:
+    """Path of a file whose folder is made if it is missing; the path is left unchanged.
+
+    Raises:
+        argparse.ArgumentTypeError: File or folder cannot be written.
+    """
+    path = Path(text)
+    if path.parent.exists():
+        return output_file(text)
+    output_folder(str(path.parent))
+    return path
+
+
 def output_folder(text: str) -> Path:
     """Path of a folder that is there or can be made, and takes files.
 

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from trocar._assignments import SYNTAX, assignments
-from trocar._paths import Parser, output_file, output_folder
+from trocar._paths import Parser, output_file_in_folder, output_folder
 from trocar.errors import NoServer, TrocarError
 from trocar.registration import TASKS, register_all
 from trocar.rl.config import ALGORITHMS, load
@@ -86,14 +86,17 @@ def _parser() -> argparse.ArgumentParser:
     curves.set_defaults(run=_curves)
     curves.add_argument("runs", type=Path, help="folder of runs")
     curves.add_argument(
-        "--out", type=output_file, default="curves.png", help=".png; .csv beside it (%(default)s)"
+        "--out",
+        type=output_file_in_folder,
+        default="curves.png",
+        help=".png; .csv beside it (%(default)s)",
     )
 
     report = commands.add_parser("report", help="a page with tables and figures of all runs")
     report.set_defaults(run=_report)
     report.add_argument("runs", type=Path, help="folder of runs")
     report.add_argument(
-        "--out", type=output_file, default="RESULTS.md", help="the page (%(default)s)"
+        "--out", type=output_file_in_folder, default="RESULTS.md", help="the page (%(default)s)"
     )
     report.add_argument(
         "--pictures", type=output_folder, default=".", help="folder of the figures (%(default)s)"
@@ -103,7 +106,7 @@ def _parser() -> argparse.ArgumentParser:
     export.set_defaults(run=_export)
     _run(export)
     export.add_argument(
-        "--out", type=output_file, default="policy.onnx", help="the file (%(default)s)"
+        "--out", type=output_file_in_folder, default="policy.onnx", help="the file (%(default)s)"
     )
     export.add_argument(
         "--card", action="store_true", help="write into the file how well it does, once evaluated"
