@@ -29,7 +29,7 @@ def main(arguments: list[str] | None = None) -> int:
             register_all(given.server)
         given.run(given)
     except KeyboardInterrupt:
-        print("interrupted; --resume goes on, --trust too if SB3 trains", file=sys.stderr)
+        print("interrupted; the same command with --resume goes on", file=sys.stderr)
         return 1
     except ValueError as error:
         print(f"error: {error}", file=sys.stderr)
