@@ -264,15 +264,21 @@ fn contacts_of_what_is_held_bear_what_a_converged_solver_finds() {
     assert!(staple < 0.02 && slab < 0.02, "{staple} {slab}");
 }
 
+/// A world with a fixed vertical post of 30 mm; the radius in m.
+fn world_with_post(radius: f64) -> World {
+    let mut world = World::new(Solver::LIGHT);
+    let (a, b) = (Point3::origin(), Point3::new(0.0, 0.0, 0.03));
+    let shape = Shape::Capsule { a, b, radius };
+    let post = Part { body_from_part: Pose::identity(), shape };
+    world.insert(Motion::Fixed, &Pose::identity(), 1.0, &[post]);
+    world
+}
+
 #[test]
 fn fingers_that_meet_a_post_sideways_do_not_turn_about_their_hinge() {
     let mut most: f64 = 0.0;
     for way in 0..24 {
-        let mut world = World::new(Solver::LIGHT);
-        let (a, b) = (Point3::new(0.0, 0.0, 0.0), Point3::new(0.0, 0.0, 0.03));
-        let post =
-            Part { body_from_part: Pose::identity(), shape: Shape::Capsule { a, b, radius: 1e-3 } };
-        world.insert(Motion::Fixed, &Pose::identity(), 1.0, &[post]);
+        let mut world = world_with_post(1e-3);
         let free = Motion::Free { mass: SLAB_MASS };
         let slab = world.insert(free, &Pose::translation(0.0, 0.0, 0.2), 1.0, &[cuboid(SLAB)]);
         let side = 0.5e-3 * f64::from(way % 6) - 1.25e-3;
@@ -300,11 +306,7 @@ fn fingers_that_meet_a_post_sideways_do_not_turn_about_their_hinge() {
 fn fingers_that_a_wrist_drives_askew_into_a_post_are_not_jammed_by_friction() {
     let mut strongest: f64 = 0.0;
     for way in 0..60 {
-        let mut world = World::new(Solver::LIGHT);
-        let (a, b) = (Point3::new(0.0, 0.0, 0.0), Point3::new(0.0, 0.0, 0.03));
-        let post =
-            Part { body_from_part: Pose::identity(), shape: Shape::Capsule { a, b, radius: 2e-3 } };
-        world.insert(Motion::Fixed, &Pose::identity(), 1.0, &[post]);
+        let mut world = world_with_post(2e-3);
         // The fingers meet the post at several depths, and at angles between the axis of their hinges and a right angle.
         let (depth, angle) =
             (4e-3 + 2e-3 * f64::from(way % 5), FRAC_PI_2 * f64::from(way / 5) / 11.0);

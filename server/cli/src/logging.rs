@@ -33,7 +33,7 @@ pub(crate) struct Logging {
 }
 
 impl Logging {
-    /// Starts to log; `usual` where nothing else is asked for.
+    /// Starts the log; the levels are `usual` if neither flag nor variable gives others.
     pub(crate) fn start(&self, usual: &str) -> anyhow::Result<()> {
         // An empty variable is none.
         let set = std::env::var(VARIABLE).ok().filter(|levels| !levels.is_empty());

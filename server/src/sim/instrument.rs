@@ -129,7 +129,7 @@ impl Instrument {
         &self.posture
     }
 
-    /// How far the jaws are open, rad: more than asked for where they hold something.
+    /// Opening of the jaws, rad: larger than the asked opening while the jaws hold an object.
     pub fn opening(&self, world: &World) -> f64 {
         match &self.fingers {
             Fingers::Gripping { fingers, .. } if !self.stale => opening(world, fingers),

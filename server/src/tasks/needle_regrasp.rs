@@ -389,8 +389,8 @@ impl NeedleRegrasp {
         goals
     }
 
-    /// Lets PSM1's jaws close about a needle that is kept in place, then lets it go; false where it
-    /// does not stay.
+    /// Closes PSM1's jaws about a needle that is kept in place, then releases the needle; false if the needle does not stay in
+    /// the jaws.
     fn put_needle_into_hand(&mut self, world: &mut World, rng: &mut Rng) -> bool {
         for arm in &mut self.arms {
             arm.reset(world, rng);

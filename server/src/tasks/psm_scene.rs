@@ -118,7 +118,7 @@ pub const STEP_ANGLE: f64 = 30.0 * DEGREE;
 /// Pitch that 1.0 in an action stands for, rad. Source: the original.
 pub const STEP_PITCH: f64 = 15.0 * DEGREE;
 
-/// How far the pitch may go either way, rad. Source: the original.
+/// Largest pitch in both directions, rad. Source: the original.
 pub const PITCH_LIMIT: f64 = FRAC_PI_2;
 
 /// Joint movements that 1.0 stands for, rad; index 2 in m: 10 mm at the usual depth of 0.16 m.

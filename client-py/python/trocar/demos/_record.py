@@ -97,7 +97,8 @@ def record(
     """Runs a task's scripted expert, or lets a person drive, and writes the episodes as a data set.
 
     With ``$MINARI_DATASETS_PATH`` set to ``out``, ``minari.load_dataset("trocar/TASK/NAME")`` reads
-    it. What is done is kept beside it until all is done: ``resume`` goes on from there.
+    the data set. Finished episodes lie beside the data set until the last one: ``resume`` goes on
+    from there.
 
     Args:
         task: Id without namespace, e.g. ``NeedlePick-v0``.

@@ -34,8 +34,8 @@ const JAM_FORCE: f64 = 4.0 * YIELD_FORCE;
 /// [`YIELD_FORCE`].
 const YIELD_OVERLAP: f64 = 0.05e-3;
 
-/// How far a gripping instrument gives way in a substep where going back does not help, m: jaws that
-/// close swing their tips down by 0.6 mm, onto what may lie under them.
+/// Distance by which a gripping instrument gives way in a substep if a way back does not help, m: tips of closing jaws swing
+/// down by 0.6 mm, onto bodies below.
 pub(super) const ASIDE: f64 = 0.05e-3;
 
 /// Vertical part of a direction that counts as level.
@@ -51,7 +51,7 @@ const HOLD_OVERLAP_GRIPPING: f64 = 0.01e-3;
 /// Movement of a point that counts as one, m.
 const LEAST_MOTION: f64 = 1e-9;
 
-/// Sets how far each instrument goes on its way in substep `now` of `substeps`, and makes it go there.
+/// Decides the progress of each instrument along its path in substep `now` of `substeps`, and drives the instrument there.
 pub(super) fn drive(
     ways: &mut [Way],
     instruments: &mut [&mut Instrument],

@@ -69,9 +69,9 @@ impl Constraints {
         self.contact_row(sides, point, normal, 0.0).mobility
     }
 
-    /// Whether friction at `point` could hold bodies on hinges against any normal force: the friction cone has a direction
-    /// along which no impulse turns the hinge.
-    pub(super) fn locks(
+    /// True if friction at `point` can hold bodies on hinges against any normal force: Coulomb's friction cone contains a
+    /// direction along which no impulse turns the hinge.
+    pub(super) fn is_self_locking(
         &self,
         sides: &[ContactSide; 2],
         point: Vector,
@@ -258,7 +258,7 @@ impl Constraints {
     }
 
     /// Solves all rows one after the other: before bodies move, with what pushes overlaps apart, and after, with friction.
-    /// Locks come last, so that they hold whatever else pushes.
+    /// Locks come last, so that locks hold against all other rows.
     fn sweep(&mut self, step: &Step, passed: f32, moves: bool) {
         self.solve_joints(false, moves);
         self.solve_normals(step, passed, moves);

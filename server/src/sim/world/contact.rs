@@ -43,7 +43,7 @@ pub struct Contact {
 /// How far jaws may press into what they squeeze, m: a needle gives in by a fifth of a millimetre to 1 N.
 const SQUEEZED: f64 = 0.3e-3;
 
-/// Where something overlaps with what is in its way.
+/// Deepest overlap of a body with an obstacle.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Overlap {
     /// How deep, m.
@@ -235,20 +235,20 @@ impl World {
         &self,
         body: BodyId,
         motion: &Pose,
-        others: impl Iterator<Item = RigidBodyHandle>,
+        others: impl Iterator<Item = RigidBodyHandle> + Clone,
     ) -> Overlap {
         let motion = frames::to_engine(motion);
         let margin = (PREDICTION * SCALE) as f32;
         let mut deepest = Overlap { depth: f64::NEG_INFINITY, ..Overlap::NONE };
         let body = &self.bodies[body.0];
         let obstacles = others.flat_map(|other| self.bodies[other].colliders());
-        for other in obstacles.map(|handle| &self.colliders[*handle]) {
-            for part in body.colliders().iter().map(|handle| &self.colliders[*handle]) {
-                let body_from_part =
-                    part.position_wrt_parent().expect("every collider belongs to a body");
-                // Colliders of a body that was just placed follow at the next substep.
-                let moved = motion * (*body.position() * *body_from_part);
-                let region = part.shape().compute_aabb(&moved).loosened(margin);
+        for part in body.colliders().iter().map(|handle| &self.colliders[*handle]) {
+            let body_from_part =
+                part.position_wrt_parent().expect("every collider belongs to a body");
+            // Colliders of a body that was just placed follow at the next substep.
+            let moved = motion * (*body.position() * *body_from_part);
+            let region = part.shape().compute_aabb(&moved).loosened(margin);
+            for other in obstacles.clone().map(|handle| &self.colliders[*handle]) {
                 if !region.intersects(&other.compute_aabb()) {
                     continue;
                 }

@@ -1,7 +1,7 @@
 //! One substep: what touches what, what moves and how, what falls asleep.
 //!
-//! The engine finds contacts. Everything else is done here, since what moves is few bodies: they are sorted into
-//! islands, which are solved one after the other.
+//! The engine finds contacts. This module does the rest, since few bodies move: moving bodies are sorted into islands, and
+//! the islands are solved one after the other.
 
 use arrayvec::ArrayVec;
 use rapier3d::geometry::ContactManifold;
@@ -306,7 +306,7 @@ impl World {
             // Otherwise friction would jam the finger, and the impulses would have no limit.
             if found
                 .iter()
-                .any(|point| constraints.locks(&sides, point.middle, normal, coefficient))
+                .any(|point| constraints.is_self_locking(&sides, point.middle, normal, coefficient))
             {
                 coefficient = 0.0;
             }

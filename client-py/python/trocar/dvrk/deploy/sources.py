@@ -99,8 +99,8 @@ class Function:
 class Pictures:
     """The endoscope's pictures: the target's image point, and objects by both lenses.
 
-    An object's pose has its position alone: it is taken to lie as its frame does, not turned. What
-    is not seen keeps its latest stamp, so that the watchdog tells.
+    An object's pose has its position alone: it is taken to lie as its frame does, not turned. An
+    unseen object keeps its latest stamp, so that the watchdog stops the run.
 
     Pictures are late: those of a real endoscope by a tenth of a second. The target's image point is
     where it is now, as far as the endoscope has turned since: stamps of pictures and of arms must
