@@ -77,7 +77,7 @@ class Board:
         A pose is x, y, z (m), then x, y, z, w of a quaternion.
 
         Raises:
-            trocar.errors.InvalidOption: The file is missing or has other fields; the message names the field.
+            trocar.errors.InvalidOption: The file is missing, or a named field is wrong.
         """
         try:
             told = json.loads(path.read_text())
